@@ -14,13 +14,8 @@ if TYPE_CHECKING:
     from estimators.registry import REGISTRY, available, create, find, names, without_weights
     from road_envs.core.registry import PluginWarning
 
-_MODULES = {
-    "ENTRY_POINT_GROUP": "api",
-    "estimate": "estimation",
-    "estimate_passes": "passes",
-    "make_estimator": "lookup",
-}
-"""Modules of the public names that are not in `registry`."""
+_MODULES = {"estimate": "estimation", "estimate_passes": "passes", "make_estimator": "lookup"}
+"""Modules of the public names that are not in `registry`, which has the others."""
 
 __all__ = [
     "ENTRY_POINT_GROUP",

@@ -28,16 +28,7 @@ LAG = 4.79
 
 Records: TypeAlias = Sequence[Record]
 Profiles: TypeAlias = Sequence[Profile]
-
-
-# Arguments of the methods, as which they are called
-_ARGUMENTS: dict[str, list[str]] = {
-    "estimate": ["record", "car"],
-    "fit": ["records", "truths", "car", "seed"],
-    "weights": [],
-    "with_weights": ["weights"],
-    "calibrate": ["drives", "car"],
-}
+Cars: TypeAlias = Sequence[VehicleParameters]
 
 
 class EstimateError(ValueError):
@@ -58,7 +49,6 @@ class Estimator(Protocol):
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return both wheel paths on `profile_stations(record.length)`; the record is unchanged."""
-        ...
 
 
 @runtime_checkable
@@ -74,24 +64,20 @@ class Trainable(Estimator, Protocol):
 
     def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
         """Return a fitted copy; equal arguments and `seed` give an equal copy."""
-        ...
 
     def weights(self) -> dict[str, np.ndarray]:
         """Return everything learned, as numeric arrays by name. Raises NotFittedError."""
-        ...
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
         """Return a copy with `weights` as `weights()` returned them. Raises ValueError."""
-        ...
 
 
 @runtime_checkable
 class Pretrained(Trainable, Protocol):
-    """A trainable estimator that ships with weights for all speeds and modes.
-
-    `weights()` succeeds without `fit`, so the leaderboard does not train it. For a protocol that
-    trains per speed and mode, a class with `refit_per_case` (a fit takes seconds) is created with
-    `shipped=False` and fitted; other classes keep their shipped weights.
+    """A trainable estimator that ships with weights for all speeds and modes. `weights()` succeeds
+    without `fit`, so the leaderboard does not train it. For a protocol that trains per speed and
+    mode, a class with `refit_per_case` (a fit takes seconds) is created with `shipped=False` and
+    fitted; other classes keep their shipped weights.
     """
 
     name: ClassVar[str]
@@ -103,11 +89,9 @@ class Pretrained(Trainable, Protocol):
     """Result of a fit; None if the shipped weights are used."""
 
     def training_example(self, record: Record, truth: Profile, rigid: bool = True) -> Any:
-        """Return the part of a drive needed for training; raw records would not fit in memory.
-
-        `rigid`: whether the vehicle's body neither twists nor bends.
+        """Return the part of a drive needed for training, as raw records would not fit in memory;
+        `rigid`: the vehicle's body neither twists nor bends.
         """
-        ...
 
     def pretrain(
         self,
@@ -117,12 +101,10 @@ class Pretrained(Trainable, Protocol):
         progress: Callable[[str, float], None] = ...,
         checkpoint: Any = None,
     ) -> Self:
-        """Return a copy trained on examples from `training_example`.
-
-        `progress` is called with a description and the fraction done (0 to 1). `checkpoint` has
-        `save`, which stores an unfinished state (arrays by name), and `load`, which returns it.
+        """Return a copy trained on examples from `training_example`. `progress` is called with a
+        description and the fraction done (0 to 1). `checkpoint` has `save`, which stores an
+        unfinished state (arrays by name), and `load`, which returns it.
         """
-        ...
 
 
 @runtime_checkable
@@ -133,7 +115,6 @@ class DeviationCalibratable(Pretrained, Protocol):
         """Return a copy calibrated on these examples: drives of the nominal vehicle on roads that
         were not used for training.
         """
-        ...
 
 
 class CalibrationError(ValueError):
@@ -142,10 +123,8 @@ class CalibrationError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class CalibrationDrive:
-    """A drive of the vehicle that is to be known better, before the drives that matter.
-
-    `profile` is the road if it was measured, with independent survey errors of the standard
-    deviation `survey_std` [m]; None over a road that nobody measured.
+    """A drive of the vehicle that is to be known better. `profile`: the road if it was measured,
+    with independent survey errors of the standard deviation `survey_std` [m].
     """
 
     record: Record
@@ -156,19 +135,19 @@ class CalibrationDrive:
 
 @runtime_checkable
 class Calibratable(Estimator, Protocol):
-    """An estimator that can be calibrated to one vehicle by drives of it.
-
-    A trained estimator keeps its weights: only what belongs to the vehicle and its instruments is
-    new in the copy, and is not part of `weights`.
+    """An estimator that can be calibrated to one vehicle by drives of it. A trained one keeps its
+    weights: only what belongs to vehicle and instruments is new, and not part of `weights`.
     """
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
-        """Return a copy for the vehicle of these `drives`, of which `car` is the description.
-
-        Drives over measured and unmeasured roads may be mixed. A second calibration replaces the
-        first. Raises CalibrationError, ArithmeticError.
+        """Return a copy for the vehicle of these `drives`, described by `car`; a second calibration
+        replaces the first. Roads may be measured or not. Raises CalibrationError, ArithmeticError.
         """
-        ...
+
+
+_TRAINING: tuple[Any, ...] = (Trainable.fit, Trainable.weights, Trainable.with_weights)
+_METHODS = (Estimator.estimate, *_TRAINING, Calibratable.calibrate)
+"""Methods that must take the arguments that they have in the interface."""
 
 
 def declared_lag(estimator: object) -> float:
@@ -231,7 +210,8 @@ def check_class(cls: Any) -> Any:
         raise TypeError(
             f"its lag must be a distance >= 0 in metres behind the front axle, got {lag!r}"
         )
-    for method, arguments in _ARGUMENTS.items():
+    for wanted in _METHODS:
+        method, (_, *arguments) = wanted.__name__, inspect.signature(wanted).parameters
         if (function := getattr(cls, method, None)) is None:
             continue
         try:
@@ -246,9 +226,7 @@ def check_class(cls: Any) -> Any:
 
 
 def check_estimate(estimate: object, record: Record) -> None:
-    """Raise EstimateError unless `estimate` is valid for `record`: finite heights of both wheel
-    paths at the stations `profile_stations(record.length)`, in this order.
-    """
+    """Raise EstimateError unless `estimate` has finite heights at the stations of `record`."""
     if not isinstance(estimate, Estimate):
         raise EstimateError(f"expected an Estimate, got {type(estimate).__name__}")
     stations = profile_stations(record.length)

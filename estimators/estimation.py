@@ -41,8 +41,8 @@ def estimate(
     object, or what `make_estimator` takes with its `settings`; `vehicle` is the described car, by
     name, YAML file or parameters. The estimate keeps the median speed of the record, which decides
     the band in which it can be scored, and the standard deviation of its stations where the
-    positions wander. Raises ConfigError, EstimateError, NotFittedError for an
-    estimator that must be trained first, and TypeError for arguments of another kind.
+    positions wander. Raises ConfigError, EstimateError, NotFittedError if the estimator must be
+    trained first, and TypeError for arguments of another kind.
     """
     given = [record] if isinstance(record, Record) else record
     if not isinstance(given, Sequence) or not all(isinstance(each, Record) for each in given):
@@ -59,8 +59,7 @@ def estimate(
     check_modes(record, car)
     found = estimator.estimate(record, car)
     check_estimate(found, record)
-    notes = (*found.notes, *training_notes(estimator, record, car))
-    notes = (*friction_note(record, car), *notes)
+    notes = *friction_note(record, car), *found.notes, *training_notes(estimator, record, car)
     if car.is_passive and car.side is None:
         notes += (
             f"{car.name} has no side motion in its file: on cars of other simulators a model "
@@ -83,11 +82,9 @@ def estimate(
 
 
 def friction_note(record: Record, car: VehicleParameters) -> tuple[str, ...]:
-    """Return a note where the accelerations are below _HELD times what dry friction passes on.
-
-    A strut slides once the force on it exceeds the peak of its friction. Four struts that hold pass
-    on accelerations of the body up to the sum of these peaks over its mass; below it the body
-    follows the road on its tyres, and what a strut would have taken out of a wave does not show.
+    """Return a note where the accelerations are below _HELD times what dry friction passes on: four
+    struts that hold do so up to the sum of their friction peaks over the body's mass. Below, the
+    body follows the road on its tyres, and what a strut takes out of a wave does not show.
     """
     low, high = friction_peaks(car)
     peaks = np.where(record.damper_high.mean(axis=0) > 0.5, high, low)

@@ -19,7 +19,6 @@ _FS_SPLINE = 400.0
 
 
 def _is_even_clock(steps: np.ndarray) -> bool:
-    """Return whether the time steps (N - 1,) are those of an even clock."""
     dt = float(np.median(steps))
     return bool(np.abs(steps - dt).max() <= _CLOCK_JITTER_MAX * dt)
 
@@ -40,9 +39,8 @@ def _on_clock(record: Record, t: np.ndarray, a: np.ndarray) -> Record:
 
 
 def with_lost_samples(record: Record) -> Record | None:
-    """Return the record of an uneven clock with lost samples as NaN; None if its clock is even.
-
-    A step counts as one interval unless it is longer than the jitter of the others makes likely.
+    """Return the record of an uneven clock with lost samples as NaN, None if its clock is even. A
+    step counts as one interval unless it is longer than the jitter of the others makes likely.
     """
     steps = np.diff(record.t)
     if _is_even_clock(steps):
@@ -59,9 +57,8 @@ def with_lost_samples(record: Record) -> Record | None:
 
 
 def resample_evenly(record: Record) -> tuple[Record, list[str]]:
-    """Return the record on an even clock at its median time step, and notes.
-
-    Accelerations are NaN where samples were lost or dropped.
+    """Return the record on an even clock at its median time step, with accelerations of NaN where
+    samples were lost or dropped, and notes.
     """
     steps = np.diff(record.t)
     if _is_even_clock(steps):

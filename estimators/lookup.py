@@ -21,10 +21,9 @@ FILE_SUFFIXES = (".npz", pretrained_weights.SUFFIX)
 
 
 def make_estimator(reference: str | Path, **settings: Any) -> Estimator:
-    """Return an estimator by registered name, by "module:Class" or from a file of `train`.
-
-    A name or a class takes `settings`; a file has its own. Raises ConfigError, StorageError, and
-    whatever the code of another package raises when it is imported.
+    """Return an estimator by registered name or "module:Class", with `settings`, or from a file of
+    `train`, which has its own. Raises ConfigError, StorageError, and whatever the code of another
+    package raises when it is imported.
     """
     if Path(reference).suffix in FILE_SUFFIXES:
         if settings:

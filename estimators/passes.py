@@ -6,10 +6,6 @@ of the first (`estimators.common.alignment`). Then the road is estimated from al
 by an estimator that can (`JointEstimator`). For any other it is the mean of the single estimates,
 weighted by inverse variance at each station where they have standard deviations.
 
-Call it with records and vehicles, and with names for the messages:
-
-    road = estimate_passes("map_smoother", [first, second, third], "land_rover_defender_110")
-
 All vehicles are supposed to have driven in the same wheel paths: lateral wander is neglected.
 """
 
@@ -21,7 +17,7 @@ from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from estimators.api import Estimator, check_estimate
+from estimators.api import Cars, Estimator, Records, check_estimate
 from estimators.common.alignment import MIN_OVERLAP, StationMap, identity_map, map_stations
 from estimators.common.explained import mark_impossible
 from estimators.common.odometer import calibrate_odometer
@@ -32,7 +28,6 @@ from road_envs.records.roughness import band_pass
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 
 _Vehicle = str | Path | VehicleParameters
-
 WANDER_NOTE = "lateral wander between the passes is neglected"
 # Largest displacement [m] of an odometer for which passes count as begun at the same place
 _LEVEL_START = 2.0
@@ -44,21 +39,14 @@ class JointEstimator(Estimator, Protocol):
 
     def for_one_of_many(self) -> Self:
         """Return the estimator of each single pass, whose estimates are aligned."""
-        ...
 
     def estimate_jointly(
-        self,
-        records: Sequence[Record],
-        cars: Sequence[VehicleParameters],
-        start: Estimate,
-        names: Sequence[str],
+        self, records: Records, cars: Cars, start: Estimate, names: Sequence[str]
     ) -> Estimate:
         """Return both wheel paths on the stations of `start`, the mean of the single estimates.
-
         The `records` have stations of one odometer; the `length` of each is the station at which
         its own road ends. A pass may begin elsewhere. `names` of the passes are for notes.
         """
-        ...
 
 
 class AlignedPass(NamedTuple):
@@ -80,12 +68,10 @@ def estimate_passes(
     names: Sequence[str] | None = None,
     **settings: object,
 ) -> Estimate:
-    """Return one road, on the stations of the first record, from several passes over it.
-
-    `vehicles` is one for all or one for each record; `names` of the records are for messages. What
-    was found in the alignment is in the notes. Raises ConfigError if a pass is given twice, matches
-    the first nowhere or was driven in the opposite direction, and what `estimators.estimate`
-    raises.
+    """Return one road, on the stations of the first record, from several passes over it; what was
+    found in the alignment is in its notes. `vehicles` is one for all or for each record; `names` of
+    the records are for messages. Raises what `estimators.estimate` does, and ConfigError if a pass
+    is given twice, matches the first nowhere or was driven in the opposite direction.
     """
     estimator = resolve_estimator(estimator, settings)
     cars = _load_vehicles(vehicles, len(records))
@@ -100,7 +86,6 @@ def estimate_passes(
     singles = [one.estimate(record, car) for record, car in zip(records, cars, strict=True)]
     for record, single in zip(records, singles, strict=True):
         check_estimate(single, record)
-    speeds = [float(np.nanmedian(record.v)) for record in records]
     aligned, notes = align_passes(records, singles, names)
     found = join_passes(estimator, aligned, cars)
     notes += [f"{n}: {note}" for n, x in zip(names, calibrated, strict=True) for note in x.notes]
@@ -111,7 +96,7 @@ def estimate_passes(
     return dataclasses.replace(
         found,
         notes=(*found.notes, *notes, *trained),
-        speed=float(np.min(speeds)),
+        speed=min(float(np.nanmedian(record.v)) for record in records),
         s_std=calibrated[0].s_std,  # all passes are moved to the stations of the first
     )
 
@@ -123,9 +108,7 @@ def refuse_repetitions(records: Sequence[Record], names: Sequence[str]) -> None:
             raise ConfigError(f"{one} and {other} are the same drive: give each pass once")
 
 
-def join_passes(
-    estimator: Estimator, aligned: Sequence[AlignedPass], cars: Sequence[VehicleParameters]
-) -> Estimate:
+def join_passes(estimator: Estimator, aligned: Sequence[AlignedPass], cars: Cars) -> Estimate:
     """Return one road from aligned passes with the vehicles `cars`, one for each."""
     found = _combine(aligned)
     names, records = [each.name for each in aligned], [each.record for each in aligned]
@@ -136,7 +119,6 @@ def join_passes(
 
 
 def _load_vehicles(vehicles: _Vehicle | Sequence[_Vehicle], count: int) -> list[VehicleParameters]:
-    """Return `count` vehicles, from one for all or one for each. Raises ConfigError."""
     if count < 1:
         raise ConfigError("an estimate needs at least one record")
     if isinstance(vehicles, str | Path | VehicleParameters):
@@ -149,9 +131,7 @@ def _load_vehicles(vehicles: _Vehicle | Sequence[_Vehicle], count: int) -> list[
 def align_passes(
     records: Sequence[Record], estimates: Sequence[Estimate], names: Sequence[str]
 ) -> tuple[list[AlignedPass], list[str]]:
-    """Return the passes on the stations of the first, and notes on what was found. Raises
-    ConfigError if a pass does not match.
-    """
+    """Return the passes on the stations of the first, and notes. Raises ConfigError."""
     reference, first = records[0], estimates[0]
     aligned = [AlignedPass(names[0], reference, first, identity_map(reference.length))]
     notes = []
@@ -200,17 +180,14 @@ def _match(
 
 
 def _combine(passes: Sequence[AlignedPass]) -> Estimate:
-    """Return the mean of the single estimates on the stations of the first, one road.
-
-    Weights are inverse variances where every estimate has standard deviations, else equal. Means
-    are taken of the increments, so that no step arises where a pass begins or a weight changes. The
-    standard deviation is that of independent errors, times the Birge ratio where the passes
-    disagree by more than that (Birge, Phys. Rev. 40, 1932, 207).
+    """Return the mean of the single estimates on the stations of the first, weighted by inverse
+    variances where all have standard deviations. Means are taken of the increments, so that no step
+    arises where a pass begins or a weight changes. The standard deviation is that of independent
+    errors, times the Birge ratio where passes disagree by more (Birge, Phys. Rev. 40, 1932, 207).
     """
     if len(passes) == 1:
         return passes[0].estimate
     s = passes[0].estimate.s
-    has_std = all(each.estimate.z_std is not None for each in passes)
     rows = [_on_stations(each, s) for each in passes]
     heights, variance, inside = (np.array(x) for x in zip(*rows, strict=True))
     weight = inside[:, None] / variance
@@ -218,7 +195,7 @@ def _combine(passes: Sequence[AlignedPass]) -> Estimate:
     steps = np.diff(heights, axis=2, prepend=heights[:, :, :1])
     z = np.cumsum((weight * steps).sum(axis=0), axis=1)
     std = None
-    if has_std:
+    if all(each.estimate.z_std is not None for each in passes):
         everywhere = np.all(inside, axis=0)
         speed = max(float(np.nanmedian(each.record.v)) for each in passes)
         ratio = _birge_ratio(heights - z, variance, everywhere, scored_band(speed))

@@ -1,12 +1,8 @@
 """Checks and cleaning of records: refusal of unusable ones, validity of samples, notes.
 
-Three views follow the same rules. An estimator that can leave samples out takes the first, one
-whose model predicts samples at any time the second, one that needs every sample the third, which
-also limits how much of a channel may be missing:
-
-    mask_record(record, instruments)   an even clock, and which samples are valid
-    restore_times(masked, record, ...) the same, with each sample at its own time
-    clean_record(record)               an even clock, with missing samples interpolated
+Three views follow the same rules: `mask_record` for estimators that can leave samples out,
+`restore_times` for those whose model predicts samples at any time, and `clean_record` for those
+that need every sample, which also limits how much of a channel may be missing.
 
 A sample is valid if it is finite, below the instruments' range, and not within the reach of the
 anti-alias filter from one beyond it. Samples at standstill are valid, as the vehicle model
@@ -73,12 +69,10 @@ class MaskedRecord(NamedTuple):
 
 
 def mask_record(record: Record, instruments: Instruments | None = None) -> MaskedRecord:
-    """Return `record` on an even clock, its valid samples, and notes.
-
-    A record that needs no change is returned itself. The `instruments` are those of the record
-    (`instruments_of`); without them no sample counts as out of range. Raises RecordError if a
-    channel's shape differs from the clock's, if clock, strut states or odometer cannot belong to a
-    drive over the road, or if all accelerations are missing.
+    """Return `record` on an even clock, itself if it needs no change, its valid samples, and notes.
+    The `instruments` are those of the record (`instruments_of`); without them no sample counts as
+    out of range. Raises RecordError if a channel's shape differs from the clock's, if clock, strut
+    states or odometer cannot belong to a drive over the road, or if all accelerations are missing.
     """
     names = record.channels if instruments is None else tuple(instruments.accelerometers)
     _check_shapes(record, names)
@@ -114,9 +108,8 @@ def mask_record(record: Record, instruments: Instruments | None = None) -> Maske
 
 def restore_times(masked: MaskedRecord, record: Record, instruments: Instruments) -> MaskedRecord:
     """Return a `masked` record with the samples of an uneven clock as and when they were measured,
-    in the `record` that it was made from; lost ones are NaN at the times that they should have.
-
-    A record whose samples a low-pass has mixed stays resampled.
+    in the `record` that it was made from; lost ones are NaN at the times that they should have. A
+    record whose samples a low-pass has mixed stays resampled.
     """
     uneven = with_lost_samples(_fill_odometer(record)[0])
     if masked.record.low_pass is not None or uneven is None:
@@ -149,9 +142,8 @@ def clipped_signs(record: Record, instruments: Instruments) -> np.ndarray:
 def clean_record(
     record: Record, channels: tuple[str, ...] | None = SENSORS
 ) -> tuple[Record, tuple[str, ...]]:
-    """Return `record` on an even clock with missing samples interpolated linearly, and notes.
-
-    It has the `channels` alone, in this order; all of its own if None. Raises RecordError as
+    """Return `record` on an even clock with missing samples interpolated linearly, and notes. It
+    has the `channels` alone, in this order; all of its own if None. Raises RecordError as
     `mask_record` does, if a channel is missing, and if too many of its samples are.
     """
     if channels is not None and record.channels != channels:
@@ -190,7 +182,6 @@ def sample_profile(truth: Profile, stations: np.ndarray) -> np.ndarray:
 
 
 def _check_shapes(record: Record, names: tuple[str, ...]) -> None:
-    """Raise RecordError unless shapes, length, clock and strut states are valid."""
     size = np.size(record.t)
     expected = {
         "t": (size,), "a": (len(names), size), "v": (size,), "s": (size,),
@@ -249,7 +240,7 @@ def _fill_odometer(record: Record) -> tuple[Record, list[str]]:
 
 
 def _check_drive(record: Record) -> tuple[Record, list[str]]:
-    """Return the record with non-negative speed and non-decreasing odometer, and notes."""
+    """The record with non-negative speed and non-decreasing odometer, and notes."""
     notes = []
     forward = np.maximum.accumulate(record.s)
     back, slowest = float((forward - record.s).max()), float(record.v.min())
@@ -291,15 +282,13 @@ def _check_drive(record: Record) -> tuple[Record, list[str]]:
     return record, notes
 
 
-def _clipping_notes(
-    names: tuple[str, ...], size: np.ndarray, out_of_range: np.ndarray
-) -> list[str]:
-    """Return a note for each sensor with samples `out_of_range` (k, N), or whose magnitude `size`
-    (k, N) [m/s²] stays at its peak. The peak of a whole drive makes no sample invalid, since that
-    would let a causal estimate depend on later samples.
+def _clipping_notes(names: tuple[str, ...], size: np.ndarray, beyond: np.ndarray) -> list[str]:
+    """Return a note for each sensor with samples `beyond` its range (k, N), or whose magnitude
+    `size` (k, N) [m/s²] stays at its peak. The peak of a whole drive makes no sample invalid, since
+    that would let a causal estimate depend on later samples.
     """
     notes = []
-    for name, x, clipped in zip(names, size, out_of_range, strict=True):
+    for name, x, clipped in zip(names, size, beyond, strict=True):
         at_peak = x >= (1.0 - _CLIPPING_TOLERANCE) * x.max()
         in_a_row = np.lib.stride_tricks.sliding_window_view(at_peak, _CLIPPING_SAMPLES).all(axis=1)
         if x.any() and (clipped.any() or in_a_row.any()):

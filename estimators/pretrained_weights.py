@@ -1,7 +1,5 @@
 """Weights in safetensors files (no pickle), including those shipped with the package.
 
-    estimators/weights/<name>.safetensors
-
 The metadata of a file holds, as text: format, package version, command, seed and digest of the
 configuration that produced it.
 """
@@ -34,11 +32,10 @@ def write_weights(
         from safetensors.numpy import save
 
     solid = {name: np.array(array, order="C") for name, array in arrays.items()}
+    # one entry only: safetensors writes several in an order that varies between files
+    about = {_METADATA_KEY: json.dumps(dict(metadata), sort_keys=True)}
     with atomic_write(path, durable=True) as partial:
-        # one entry only: safetensors writes several in an order that varies between files
-        partial.write_bytes(
-            save(solid, metadata={_METADATA_KEY: json.dumps(dict(metadata), sort_keys=True)})
-        )
+        partial.write_bytes(save(solid, metadata=about))
 
 
 def read_weights(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:

@@ -48,7 +48,6 @@ REGISTRY: dict[str, type[Estimator]] = {
     "iterated_wiener": IteratedWiener,
 }
 
-
 _ESTIMATORS = Registry("estimator", ENTRY_POINT_GROUP, REGISTRY, check_class)
 available, names, find = _ESTIMATORS.available, _ESTIMATORS.names, _ESTIMATORS.find
 """Look-up by name, as documented in `Registry`."""
@@ -60,9 +59,8 @@ def pretrainable() -> list[str]:
 
 
 def without_weights() -> list[str]:
-    """Return the names of pretrained estimators whose weights are not part of the package.
-
-    They need `road-recon train` (about half an hour each) before they can be evaluated.
+    """Return the names of pretrained estimators whose weights are not part of the package: they
+    need `road-recon train` (about half an hour each) before they can be evaluated.
     """
     return [name for name in pretrainable() if not load_pretrained(name)]
 

@@ -21,8 +21,7 @@ from road_envs.core.atomic_io import atomic_write
 from road_envs.core.reading import parsing, read_npz
 
 _FORMAT = "roadrecon estimator 1"
-# Prefix of the weights' names in an `.npz` file; keeps them apart from the header
-_WEIGHT_PREFIX = "weights."
+_WEIGHT_PREFIX = "weights."  # of their names in an `.npz` file, apart from the header
 
 
 def save(estimator: Estimator, path: str | Path, metadata: Mapping[str, str] | None = None) -> None:

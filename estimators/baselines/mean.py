@@ -25,7 +25,6 @@ class Mean(Settings):
 
     causal: ClassVar[bool] = True
     uses_seed: ClassVar[bool] = False
-
     z: np.ndarray | None = field(default=None, init=False, repr=False, compare=False)
     """Mean heights (2, M) [m] at the stations of the longest training road."""
 

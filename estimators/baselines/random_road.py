@@ -13,7 +13,7 @@ roads.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, NamedTuple, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from scipy.fft import irfft, rfftfreq
@@ -25,13 +25,8 @@ from road_envs.records.record import PROFILE_SPACING, Estimate, Profile, Record,
 from road_envs.records.roughness import FIT_BAND, N_0, displacement_psd, fit_line, smooth_psd
 from road_envs.vehicle.parameters import VehicleParameters
 
-
-class _FittedRoad(NamedTuple):
-    """Level `G_d0` [m³] at n0, waviness `w`, and the `seed` of the phases."""
-
-    G_d0: float
-    w: float
-    seed: int
+_Road = tuple[float, float, int]
+"""Level G_d(n0) [m³], waviness, and the seed of the phases."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,13 +34,12 @@ class UnrelatedRoad(Settings):
     """Baseline: a random road as rough as the training roads, independent of the record."""
 
     causal: ClassVar[bool] = True
-
-    fitted_state: _FittedRoad | None = field(default=None, init=False, repr=False, compare=False)
+    fitted_state: _Road | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
         """Fit level and waviness of the truths; `seed` draws the phases. Raises ValueError."""
         phases = int(np.random.default_rng(seed).integers(2**31))  # exact as a float
-        return copy_with(self, fitted_state=_FittedRoad(*_fit_spectrum(truths), phases))
+        return copy_with(self, fitted_state=(*_fit_spectrum(truths), phases))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return the random road. Raises RecordError, NotFittedError."""
@@ -55,13 +49,13 @@ class UnrelatedRoad(Settings):
 
     def weights(self) -> dict[str, np.ndarray]:
         """Return the scalars `G_d0`, `w` and `seed`. Raises NotFittedError."""
-        road = require_fitted(self.fitted_state, self)
-        return {name: np.asarray(x) for name, x in road._asdict().items()}
+        values = map(np.asarray, require_fitted(self.fitted_state, self))
+        return dict(zip(("G_d0", "w", "seed"), values, strict=True))
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
         """Return a copy with these weights. Raises ValueError."""
         G_d0, w, seed = validate_weights(weights, {"G_d0": (), "w": (), "seed": ()})
-        return copy_with(self, fitted_state=_FittedRoad(float(G_d0), float(w), int(seed)))
+        return copy_with(self, fitted_state=(float(G_d0), float(w), int(seed)))
 
 
 def _fit_spectrum(truths: Sequence[Profile]) -> tuple[float, float]:
@@ -77,12 +71,12 @@ def _fit_spectrum(truths: Sequence[Profile]) -> tuple[float, float]:
     return float(np.mean(G[inside] * (n[inside] / N_0) ** w)), w
 
 
-def _draw_road(road: _FittedRoad, size: int) -> np.ndarray:
+def _draw_road(road: _Road, size: int) -> np.ndarray:
     """Return heights (2, size) [m] at the profile stations, from 0; the period is 2 `size`."""
-    n = rfftfreq(2 * size, PROFILE_SPACING)
+    (G_d0, w, seed), n = road, rfftfreq(2 * size, PROFILE_SPACING)
     inside = n >= FIT_BAND[0]
-    G = road.G_d0 * (n[inside] / N_0) ** -road.w
-    phase = np.random.default_rng(road.seed).uniform(0.0, 2.0 * np.pi, (2, G.size))
+    G = G_d0 * (n[inside] / N_0) ** -w
+    phase = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, (2, G.size))
     lines = np.zeros((2, n.size), dtype=complex)
     lines[:, inside] = np.sqrt(2.0 * G * n[1]) * np.exp(1j * phase)
     z = size * irfft(lines, 2 * size)[:, :size]

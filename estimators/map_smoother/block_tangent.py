@@ -1,17 +1,16 @@
 """Tangent of a drive as one matrix for each short chunk of blocks.
 
-Conjugate gradients apply tangent and adjoint dozens of times about one motion. Most of that work is
-the same each time and is done once. Over a chunk of some hundredths of a second, the change of the
-vehicle state y and of the block means m is
+Conjugate gradients apply tangent and adjoint dozens of times about one motion, and most of that
+work is the same each time. Over a chunk of some hundredths of a second, the change of the vehicle
+state y and of the block means m is
 
     (y after, m) = P (c, y before)        c: the spline's coefficients under the four wheels
 
 The columns of P are unit changes, propagated through the chunk by `tangent_step`, LANES at a time,
-each from the step on at which it begins. A tangent is then one product with each P from the first
-chunk to the last, an adjoint one with each P' from the last to the first. Both are more than ten
-times as fast as the steps themselves, and take as long as P takes to be read. It is therefore kept
-in single precision: a tangent with a relative error of 1e-7 leads to the same road, and its adjoint
-is exactly its transpose.
+each from the step on at which it begins. A tangent is then one product with each P in turn, an
+adjoint one with each P' in reverse, more than ten times as fast as the steps themselves; both take
+as long as P takes to be read. It is therefore kept in single precision: a tangent with a relative
+error of 1e-7 leads to the same road, and its adjoint is exactly its transpose.
 """
 
 from dataclasses import dataclass
@@ -35,13 +34,11 @@ N_ROWS = 4 * LANES
 
 
 class _Track(NamedTuple):
-    """Nodes under the axles, and samples, in N steps and M chunks.
-
-    At each half step (2 N,): node number `front_node` of the front axle and `node_rate` [nodes/s].
-    `first` (M, 2): the first node that each axle passes in a chunk, of `size` in all. `n_states` of
-    the vehicle: 14, or 16 with a flexible frame, four more with side motion; `ds` [m]: distance of
-    the nodes. `sample_weight` (S, J, b) of the samples, one in `decimation` steps, in their block
-    means; `sensor_rows` (S, 7).
+    """Nodes under the axles, and samples, in N steps and M chunks. At each half step (2 N,): node
+    number `front_node` of the front axle and `node_rate` [nodes/s]. `first` (M, 2): the first node
+    that each axle passes in a chunk, of `size` in all, `ds` [m] apart. `n_states`: 14, or 16 with a
+    flexible frame, four more with side motion. `sample_weight` (S, J, b) of samples, one in
+    `decimation` steps, in their block means; `sensor_rows` (S, 7).
     """
 
     front_node: np.ndarray
@@ -58,11 +55,9 @@ class _Track(NamedTuple):
 
 @kernel
 def _road_derivatives(track: _Track, n, m, road):
-    """Write the derivative of heights and rates under the wheels to `road` (G, 16, LANES).
-
-    For the step `n` of the chunk `m`. Rows 0 to 7 are heights and rates at the first half step,
-    rows 8 to 15 at the second; lanes are unit changes of the states, then of the nodes. Returns the
-    number of changes that have begun in this step.
+    """Write the derivative of heights and rates under the wheels in the step `n` of the chunk `m`
+    to `road` (G, 16, LANES): rows 0 to 7 at the first half step, rows 8 to 15 at the second; lanes
+    are unit changes of the states, then of the nodes. Return the number of changes begun by then.
     """
     road[:] = 0.0
     begun = 0
@@ -85,16 +80,12 @@ def _road_derivatives(track: _Track, n, m, road):
 @kernel
 def _fill_chunk_matrices(constants, rows, h, track: _Track, P, flexible=None, side=None):
     """Write the matrices of all chunks to `P` (M, C, N_ROWS), transposed: a column in each row,
-    those of the nodes before those of the states.
-
-    `rows` of the tape; `flexible`, `side` as of `sensitivity.tangent_step`.
+    those of the nodes before those of the states. `rows` of the tape; `flexible`, `side` as of
+    `sensitivity.tangent_step`.
     """
     n_states, n_dof = track.n_states, track.n_states // 2
-    decimation, sample_weight, sensor_rows = (
-        track.decimation,
-        track.sample_weight,
-        track.sensor_rows,
-    )
+    decimation, sensor_rows = track.decimation, track.sensor_rows
+    sample_weight = track.sample_weight
     p, changes = constants[0], P.shape[1]
     groups = -(-changes // LANES)
     work = step_workspace(stack_rows(WORKSPACE_ROWS))
@@ -137,9 +128,8 @@ def _fill_chunk_matrices(constants, rows, h, track: _Track, P, flexible=None, si
 
 @kernel
 def _apply_chunks(P, first, width, c, y, means):
-    """Propagate a change `y` (14,) of the first state and `c` (2, K) of the road to `means` (S, J).
-
-    `P` (M, C, N_ROWS // LANES, LANES); `y` ends as the change of the last state.
+    """Propagate a change `y` (14,) of the first state and `c` (2, K) of the road by `P`, as of
+    `BlockTangent`, to `means` (S, J); `y` ends as the change of the last state.
     """
     n_states = y.size
     x, out = np.empty(P.shape[1]), np.empty((P.shape[2], LANES))
@@ -169,9 +159,7 @@ def _apply_chunks(P, first, width, c, y, means):
 
 @kernel
 def _apply_chunks_transpose(P, first, width, means, y, c):
-    """Apply the transpose of `_apply_chunks`: from `means` (S, J) and the adjoint `y` (14,) of the
-    last state to that of the first and to coefficients `c` (2, K).
-    """
+    """Apply the transpose of `_apply_chunks`: from `means` and `y` to the first `y` and `c`."""
     n_states = y.size
     inside, out = np.zeros((P.shape[2], LANES)), np.empty(P.shape[1])
     flat, blocks_per_chunk = inside.ravel(), (N_ROWS - n_states) // means.shape[0]
@@ -197,9 +185,8 @@ def _apply_chunks_transpose(P, first, width, means, y, c):
 
 @dataclass(frozen=True, eq=False)
 class BlockTangent:
-    """Tangent of one motion: matrices `P` (M, C, N_ROWS // LANES, LANES), each for `width` nodes
-    from `first` (M, 2) on under front and rear axle, of `n_nodes` in all; `shape` (S, J) of block
-    means.
+    """Tangent of one motion: matrices `P` (M, C, N_ROWS // LANES, LANES), each of `width` nodes
+    from `first` (M, 2) under front and rear axle, of `n_nodes`; `shape` (S, J) of the block means.
     """
 
     P: np.ndarray
@@ -209,9 +196,7 @@ class BlockTangent:
     shape: tuple[int, int]
 
     def apply(self, start: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """Return the change (S, J) of the block means by one of the first state (14,) and of `c`
-        (2, K).
-        """
+        """Return the change (S, J) of the means by one of the first state (14,) and `c` (2, K)."""
         means, y = np.empty(self.shape), start.copy()
         _apply_chunks(self.P, self.first, self.width, c, y, means)
         return means
@@ -231,11 +216,8 @@ def build_block_tangent(
     sensor_rows: np.ndarray,
     wheelbase: float,
 ) -> BlockTangent:
-    """Return the tangent of a taped motion in the means over blocks of `sample_weight` (S, J, b),
-    of sensors of `sensor_rows` (S, 7).
-    """
-    sensors, blocks, block = sample_weight.shape
-    n_states = tape.end.size
+    """Return the tangent of a taped motion, by weights (S, J, b) and rows (S, 7) of sensors."""
+    (sensors, blocks, block), n_states = sample_weight.shape, tape.end.size
     blocks_per_chunk = (N_ROWS - n_states) // sensors
     steps_per_block = block * inputs.decimation
     x, wheelbase_nodes = (inputs.s - nodes.origin) / nodes.ds, wheelbase / nodes.ds

@@ -30,7 +30,6 @@ from road_envs.vehicle.tolerances import ParameterSpace, parameter_space
 class CarFit:
     """Fitted parameters: vector `x` (P,) in `space`, and if fitted of the instruments behind it;
     its `covariance` (P, P), and the solutions of the drives with the fitted vehicle.
-
     `contradiction`: mean square of what a single drive would still change of the vehicle, over its
     expectation, greatest of several drives over unmeasured roads; of fewer 0.
     """
@@ -48,7 +47,6 @@ class CarFit:
 
     @property
     def car(self) -> VehicleParameters:
-        """The fitted vehicle."""
         return self.space.from_vector(self.x[: self.space.size])
 
     @property
@@ -73,13 +71,11 @@ def fit_car(
     max_steps: int = TUNING.fit_steps,
     renewed_steps: int | None = None,
 ) -> CarFit:
-    """Fit the parameters of `space` to drives, from the solutions with `space.car` on.
-
-    `solver`: settings of the road's steps. With `instruments`, errors of the readings are fitted
-    too, the same in all drives; possible only where the road is known. `start` (P,) is where the
-    search begins. The terms of second order over unmeasured roads are renewed in the first
-    `renewed_steps`, or in all. Raises ArithmeticError if a motion is not finite, or no vehicle has
-    the fitted values.
+    """Fit the parameters of `space` to drives, from the solutions with `space.car` on, by road
+    steps of the `solver`. With `instruments`, errors of the readings are fitted too, the same in
+    all drives; possible only where the road is known. `start` (P,) is where the search begins. The
+    terms of second order over unmeasured roads are renewed in the first `renewed_steps`, or in all.
+    Raises ArithmeticError if a motion is not finite, or no vehicle has the fitted values.
     """
     errors = InstrumentErrors.of(solutions[0].linearization.objective.passes[0])
     size = space.size + instruments * len(errors.names)
@@ -121,7 +117,6 @@ def fit_car(
 
 
 def _contradiction(terms: Sequence[LikelihoodTerms], step: np.ndarray) -> float:
-    """Return `CarFit.contradiction` after a `step` (P,) from the vehicle of the `terms`."""
     powers = []
     for one in terms:
         if one.change(step) is not None:
@@ -155,10 +150,8 @@ def fit_if_due(
 
 
 def can_show_vehicle(solution: MapSolution) -> bool:
-    """Return whether what a solution leaves unexplained, if anything, may be the vehicle.
-
-    On roads that are rough in places and under wheels in the air it is not the vehicle. Sensors on
-    an axle measure waves that are too short for the nodes of the road.
+    """Return whether it may be the vehicle that is unexplained: not where the road is rough in
+    places or wheels fly, nor by sensors on an axle, whose waves are too short for the road's nodes.
     """
     lin = solution.linearization
     if any(on_axle(one.source.model.locations) for one in lin.passes):
@@ -168,9 +161,8 @@ def can_show_vehicle(solution: MapSolution) -> bool:
 
 
 def is_believed(fit: CarFit, solutions: Sequence[MapSolution]) -> bool:
-    """Return whether a fit explains the drives so much better than their `solutions` before it.
-
-    A vehicle as described is fitted to what friction and the count of unknowns leave, and a vehicle
+    """Return whether a fit explains the drives so much better than their `solutions` before it. A
+    vehicle as described is fitted to what friction and the count of unknowns leave, and a vehicle
     of another kind, such as with a frame that twists, stays unexplained: neither is believed.
     """
     left = noise_left(fit.solutions)
@@ -189,9 +181,8 @@ def resolve(
     change: np.ndarray | None = None,
     steps: int = TUNING.road_steps,
 ) -> MapSolution:
-    """Return the solution of drives with another `objective`, after `steps` from its road on.
-
-    With a `change` of the unknowns that is expected, the prior of the road follows it, too.
+    """Return the solution of drives with another `objective`, after `steps` from its road on. With
+    a `change` of the unknowns that is expected, the prior of the road follows it, too.
     """
     lin = objective.linearize(solution.linearization.x + (0.0 if change is None else change))
     point = MapSolution(lin, stationary_hessian(objective), solution.noise_scale)

@@ -3,23 +3,20 @@
     minimize  1/2 sum over block means ((y - a(road)) / sigma)² + 1/2 |u|²
 
 a(road) is what the accelerometers measure when the vehicle, with its gas springs, dampers,
-friction, stops and tyres that lift off, is driven over the road. u is white noise that the prior
-shapes into an equally rough surface in all directions (`road_prior.py`); its density is
-re-estimated from the drive, octave by octave, and along the road where it is rough in places only
-(potholes, bumps). A clipped sample is a limit: the acceleration was at least that. Both axles roll
-over the same unknown road. Gauss-Newton steps with the exact tangent and adjoint of the simulator's
-step (`objective.py`) are solved by conjugate gradients, preconditioned by the stationary linear
-vehicle (`preconditioner.py`). Friction is smoothed and the noise inflated at first and less so in
-later steps (`gauss_newton.py`). Where a wheel has lifted off, the road is lowered, and at last it
-is the mean of what it may be there (`wheel_liftoff.py`). (Talagrand & Courtier 1987,
-doi:10.1002/qj.49711347812, for the adjoint method.)
+friction, stops and tyres that lift off, is driven over the road, both axles over the same one. u is
+white noise that the prior shapes into an equally rough surface in all directions (`road_prior.py`);
+its density is re-estimated from the drive, octave by octave, and along the road where it is rough
+in places only (potholes, bumps). A clipped sample is a limit: the acceleration was at least that.
+Gauss-Newton steps with the exact tangent and adjoint of the simulator's step (`objective.py`;
+Talagrand & Courtier 1987, doi:10.1002/qj.49711347812) are solved by conjugate gradients,
+preconditioned by the stationary linear vehicle (`preconditioner.py`). Friction is smoothed and the
+noise inflated at first and less so in later steps (`gauss_newton.py`). Where a wheel has lifted
+off, the road is lowered, and at last it is the mean of what it may be there (`wheel_liftoff.py`).
 
-Several drives over one road are estimated together (`estimate_jointly`): their misfits add, and a
-single drive is one pass of one.
-
-A vehicle that differs from the one given within its tolerances is fitted to the drive
-(`car_fit.py`), and one that stays unexplained with the elements that the description leaves out but
-whose tolerances say what they are about, such as a frame that twists (`identification.py`).
+Several drives over one road are estimated together: their misfits add. A vehicle that differs from
+the one given within its tolerances is fitted to the drive (`car_fit.py`), and one that stays
+unexplained with the elements that the description leaves out but whose tolerances say what they are
+about, such as a frame that twists (`identification.py`).
 
 Known to fail: under a lifted wheel, where the road is only known to lie below it, as over a hole
 whose floor the wheel does not reach; for waves longer than about 50 m, which are hardly observable
@@ -28,11 +25,12 @@ at a walking pace and left out.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from pydantic import Field
 
-from estimators.api import CalibrationError, copy_with
+from estimators.api import CalibrationError, Cars, Records, copy_with
 from estimators.common.explained import reduce_unexplained
 from estimators.common.misfit import NOISE_SCALE_WARNING, misfit_note
 from estimators.common.odometer import calibrate_odometer
@@ -50,22 +48,14 @@ from road_envs.vehicle.tolerances import has_absent_elements
 
 @dataclass(frozen=True, kw_only=True)
 class MapSmoother(CalibratedByIdentification, SolverSettings):
-    """Estimator of the maximum a posteriori road, with the settings of the solver and
-
-    - `draws`: posterior samples for the standard deviation, 0 for none.
-    - `adapt`: where the unexplained noise says that the vehicle differs, and its file gives
-      tolerances, the parameters are fitted to the drive (`car_fit.py`).
+    """Estimator of the maximum a posteriori road, with the settings of the solver; `draws`: samples
+    of the posterior for the standard deviation, 0 for none; `adapt`: where the unexplained noise
+    says that the vehicle differs, and its file gives tolerances, it is fitted (`car_fit.py`).
     """
 
     causal: ClassVar[bool] = False
-
-    draws: int = 2
+    draws: Annotated[int, Field(ge=0), "", "samples of the posterior"] = 2
     adapt: bool = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.draws < 0:
-            raise ValueError(f"draws must not be negative, got {self.draws}")
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError, ArithmeticError."""
@@ -73,18 +63,14 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         # where positions wander the road is level somewhere else
         settled = self if odometer.s_std is None else replace(self, level_ends=False)
         record, car = self.as_identified(odometer.record, car)
-        return odometer.describe(settled._estimate_adapting(record, car, odometer.speed_std))
+        return odometer.describe(settled._estimate_best(record, car, odometer.speed_std))
 
     def for_one_of_many(self) -> "MapSmoother":
         """The estimator of a single pass of several: fast, for alignment and as a start."""
         return copy_with(self, draws=0, adapt=False, prior_updates=0)
 
     def estimate_jointly(
-        self,
-        records: Sequence[Record],
-        cars: Sequence[VehicleParameters],
-        start: Estimate,
-        names: Sequence[str],
+        self, records: Records, cars: Cars, start: Estimate, names: Sequence[str]
     ) -> Estimate:
         """Estimate one road from several passes (`estimators.passes.JointEstimator`)."""
         pairs = zip(records, cars, strict=True)
@@ -96,10 +82,7 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         solver = RoadSolver(self, on_common_nodes(drives), self.adapt, self.draws, start=start)
         return self._solve(solver, records[0].length, names, notes)
 
-    def _estimate_adapting(
-        self, record: Record, car: VehicleParameters, speed_std: float
-    ) -> Estimate:
-        """Estimate both wheel paths, also with elements that the description leaves out."""
+    def _estimate_best(self, record: Record, car: VehicleParameters, speed_std: float) -> Estimate:
         known = None if self.identified is None else self.identified.uncertainty
         first, solver = self._estimate(record, car, known, speed_std)
         left = solver.left_by_fit
@@ -122,31 +105,23 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         return replace(second, notes=(*second.notes, note))
 
     def _estimate(
-        self,
-        record: Record,
-        car: VehicleParameters,
-        uncertainty: VehicleUncertainty | None,
-        speed_std: float,
+        self, record: Record, car: VehicleParameters, known: VehicleUncertainty | None, v_std: float
     ) -> tuple[Estimate, RoadSolver]:
-        """Estimate a single drive; `uncertainty` is that of a vehicle that was identified."""
-        drive, notes = self.prepare(record, car, speed_std=speed_std)
-        solver = RoadSolver(self, [drive], self.adapt, self.draws, uncertainty)
+        """Estimate a single drive; `known`: the uncertainty of a vehicle that was identified."""
+        drive, notes = self.prepare(record, car, speed_std=v_std)
+        solver = RoadSolver(self, [drive], self.adapt, self.draws, known)
         return self._solve(solver, record.length, [""], notes), solver
 
     def _solve(
         self, solver: RoadSolver, length: float, names: Sequence[str], remarks: Sequence[str]
     ) -> Estimate:
-        """Estimate a road of `length` [m], with `remarks` on the records and notes on what was
-        found, which name the drive if there are several.
-        """
+        """Estimate a road of `length` [m]; notes name the drive if there are several `names`."""
         road, drives, s = solver.solve(), solver.drives, profile_stations(length)
         z, std, drawn = road.at_stations(drives[0].nodes, s)
         z_std, draws = (std, drawn) if self.draws else (None, None)
-        notes = [*remarks, *_findings_notes(solver, names)]
-        share = 0.0
-        for drive, in_air, scale in zip(
-            drives, solver.in_air, solver.noise_scale.tolist(), strict=True
-        ):
+        notes, share = [*remarks, *_findings_notes(solver, names)], 0.0
+        rows = zip(drives, solver.in_air, solver.noise_scale.tolist(), strict=True)
+        for drive, in_air, scale in rows:
             most = TUNING.lost_noise_scale  # above it the minimization has lost the vehicle
             if in_air < TUNING.lost_air_share * length:
                 power = float(drive.a.var()) / drive.model.noise_variance
@@ -160,14 +135,11 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
             notes.append(
                 f"the heights are reduced to {share:.0%}: their motion is not the measured one"
             )
-        residual = float(np.sqrt(solver.noise_scale.max()))
-        return Estimate(
-            s, z, z_std, tuple(notes), distance=distance, draws=draws, residual=residual
-        )
+        left = float(np.sqrt(solver.noise_scale.max()))
+        return Estimate(s, z, z_std, tuple(notes), distance=distance, draws=draws, residual=left)
 
 
 def _findings_notes(solver: RoadSolver, names: Sequence[str]) -> list[str]:
-    """Notes on what was found of the drives of these `names`; a single one is not named."""
     several = len(names) > 1
     labels = [f"{name}: " if several else "" for name in names]
     notes = [

@@ -29,8 +29,7 @@ from road_envs.vehicle.suspension import V_0, V_STEP
 @dataclass(frozen=True, eq=False)
 class MapSolution:
     """A point of the minimization, and its result: the `linearization` there, the preconditioner's
-    `stationary` Hessian, and the `noise_scale` (P,) on the noise variance of the instruments of
-    each pass.
+    `stationary` Hessian, and the `noise_scale` (P,) on the noise variance of each pass.
     """
 
     linearization: Linearization
@@ -49,7 +48,6 @@ class MapSolution:
         return self.stationary.effective_dof(road, self.noise_variance)
 
     def of_pass(self, k: int) -> "MapSolution":
-        """Return the solution of the pass `k` alone, on the same road."""
         lin, stationary = self.linearization.of_pass(k), self.stationary.of_pass(k)
         return MapSolution(lin, stationary, self.noise_scale[k : k + 1])
 
@@ -69,10 +67,9 @@ class MapSolution:
         return replace(self, noise_scale=np.maximum(1.0, np.minimum(self.noise_scale, scales)))
 
     def with_prior(self) -> "MapSolution":
-        """Return the point under the prior that its own road suggests; the same road.
-
-        The prior stays if the road would be most improbable under the other one: where a road is a
-        single wave the prior would allow hardly any other, and the next step would go anywhere.
+        """Return the point under the prior that its own road suggests; the same road. The prior
+        stays if the road would be most improbable under the other one: where a road is a single
+        wave the prior would allow hardly any other, and the next step would go anywhere.
         """
         lin, x, before = self.linearization, self.linearization.x, self.linearization.objective.road
         u = lin.objective.split(x)[0]
@@ -95,13 +92,10 @@ def minimize(
     start: np.ndarray | None = None,
     adapt_car: "Callable[[MapSolution, GaussNewton], MapSolution] | None" = None,
 ) -> MapSolution:
-    """Minimize the objective from a level road or `start` on.
-
-    `adapt_car`, if given, returns the solution with another vehicle where the descent has ended.
-
-    What a wrong vehicle leaves is taken for obstacles as well, and a prior that is rough there
-    confirms it. Where much is unexplained on a road that is rough in places, it is therefore sought
-    on one that is equally rough everywhere, too; always where a road can explain all readings.
+    """Minimize the objective from a level road or `start` on; `adapt_car` returns the solution with
+    another vehicle where the descent has ended. A wrong vehicle looks like obstacles, and a prior
+    that is rough there confirms it. Where much is unexplained on a road rough in places, and always
+    where a road can explain all readings, one is sought that is equally rough everywhere, too.
     """
     stationary = stationary_hessian(objective)
     found = _descend(objective, stationary, solver, start)
@@ -126,12 +120,10 @@ def minimize(
 
 @dataclass(frozen=True)
 class GaussNewton:
-    """Gauss-Newton steps, by conjugate gradients, and when they end.
-
-    `huber`: standard deviations beyond which a block mean is down-weighted. With `adapt_prior` the
-    prior is updated before each of the `stages` and between steps with the true vehicle, there at
-    most `prior_updates` times. A stage ends when such a step changes the unknowns by less than
-    `change_tolerance`.
+    """Gauss-Newton steps, by conjugate gradients, and when they end. `huber`: standard deviations
+    beyond which a block mean is down-weighted. With `adapt_prior` the prior is updated before each
+    of the `stages` and between steps with the true vehicle, there at most `prior_updates` times. A
+    stage ends when such a step changes the unknowns by less than `change_tolerance`.
     """
 
     huber: float = np.inf
@@ -166,9 +158,7 @@ class GaussNewton:
 
 def _retry_after_liftoff(found: MapSolution, solver: GaussNewton) -> MapSolution:
     """Return the optimum from the road lowered where no wheel pressed on it, as often as it then
-    costs less.
-
-    A road with obstacles has been lowered before.
+    costs less; a road with obstacles has been lowered before.
     """
     for _ in range(TUNING.max_liftoff_retries):
         lin = found.linearization
@@ -187,16 +177,12 @@ def _retry_after_liftoff(found: MapSolution, solver: GaussNewton) -> MapSolution
 
 
 def _descend(
-    objective: Objective,
-    stationary: StationaryHessian,
-    solver: GaussNewton,
-    start: np.ndarray | None,
+    objective: Objective, stationary: StationaryHessian, solver: GaussNewton, x: np.ndarray | None
 ) -> MapSolution:
-    """Return where the steps of `minimize` end."""
     noise_scale = np.full(len(objective.passes), np.inf)
     point: MapSolution | None = None
     best: Linearization | None = None  # where a road can explain all readings
-    x = np.zeros(objective.size) if start is None else start
+    x = np.zeros(objective.size) if x is None else x
     for std, max_steps in solver.stages:
         if point is not None:
             point = point.with_prior() if solver.adapt_prior else point
@@ -223,9 +209,8 @@ def _descend(
                 point = replace(point, noise_scale=np.maximum(least, noise_scale))
                 if best is None or power.max() < misfit_power(best).max():
                     best = lin
-            to_come = lin.objective.road.is_level_between_obstacles and n < min(
-                TUNING.lowering_steps[-1], updates
-            )
+            last_lowering = min(TUNING.lowering_steps[-1], updates)
+            to_come = n < last_lowering and lin.objective.road.is_level_between_obstacles
             now = np.max(point.noise_scale)
             is_falling = NOISE_SCALE_WARNING < before and now < TUNING.settled * before
             if change < solver.change_tolerance and not (to_come or is_falling):
@@ -239,10 +224,7 @@ def _descend(
 def _line_search(
     lin: Linearization, dx: np.ndarray, slope: float, plants: Sequence[Plant] | None
 ) -> Linearization:
-    """Return a point along `dx` by backtracking: the step is halved until the cost has fallen.
-
-    `slope` of the cost along `dx`.
-    """
+    """Return a point along `dx`: the step is halved until the cost, of that `slope`, falls."""
     length = 1.0
     for _ in range(TUNING.max_halvings):
         try:
@@ -258,10 +240,9 @@ def _line_search(
 
 def _is_likelier(even: Linearization, uneven: Linearization) -> bool:
     """Return whether an `even` road is to be preferred: if it leaves much less, or, where a road
-    can explain all readings, costs less under the noise that the worse one needs.
-
-    The residual of an uneven road says nothing there: one phone, whose true road leaves the noise,
-    got two holes of 0.3 m behind bumps of 50 mm at 60 km/h (5 % more than the noise).
+    can explain all readings, costs less under the noise that the worse one needs. The residual of
+    an uneven road says nothing there: one phone, whose true road leaves the noise, got two holes of
+    0.3 m behind bumps of 50 mm at 60 km/h (5 % more than the noise).
     """
     powers = misfit_power(even), misfit_power(uneven)
     if powers[0].max() < TUNING.even_gain * powers[1].max():
@@ -284,9 +265,7 @@ def _noise_scale(one: LinearizedPass, dof: float) -> float:
 
 
 def _estimate_frequency_weights(point: MapSolution) -> list[np.ndarray]:
-    """Weight (J // 2 + 1,) of each frequency in each pass: noise as large as the residual is there,
-    but never less than that of the instruments.
-    """
+    """Weights (J // 2 + 1,) of each pass, by which the noise is as large as the residual."""
     weights, lin = [], point.linearization
     for one, dof, scale in zip(lin.passes, point.effective_dof, point.noise_scale, strict=True):
         r = np.sqrt(one.source.information) * one.residual

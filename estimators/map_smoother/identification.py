@@ -1,9 +1,8 @@
 """Identification of a vehicle from calibration drives.
 
-Over a known road (a profile with a survey error) the readings tell the parameters directly; over
-roads that nobody measured by marginal likelihood (`car_fit.py`), and drives of both kinds can be
-combined. The last third of each drive is held out: there the described and the identified vehicle
-are compared.
+Over a known road (a profile with a survey error) the readings tell the parameters directly, over
+roads that nobody measured by marginal likelihood (`car_fit.py`); both kinds can be combined. In the
+last third of each drive, which is held out, the described and the identified vehicle are compared.
 """
 
 from collections.abc import Sequence
@@ -46,9 +45,8 @@ def identify(
     settings: SolverSettings | None = None,
     structure: bool | None = False,
 ) -> IdentificationResult:
-    """Identify the parameters of `car` that have tolerances from calibration drives.
-
-    With `structure`, the elements that the description leaves out (a frame that twists, progressive
+    """Identify the parameters of `car` that have tolerances from calibration drives. With
+    `structure`, the elements that the description leaves out (a frame that twists, progressive
     tyres, bushings; see `tolerances.parameter_space`) are identified as well; if it is None, where
     the held-out parts are explained much better with them. Raises CalibrationError on drives that
     do not fit, ConfigError if the vehicle has no tolerances.
@@ -81,7 +79,6 @@ def identify(
 
 
 def _refuse_unexplained(result: IdentificationResult, drives: Sequence[CalibrationDrive]) -> None:
-    """Raise CalibrationError if the held-out parts are explained neither well nor much better."""
     described = float(np.mean([before.power for before, _ in result.unexplained]))
     if result.left < max(TUNING.structure_power, TUNING.refused_share * described):
         return
@@ -99,7 +96,6 @@ def _identify(
     settings: SolverSettings,
     structure: bool,
 ) -> IdentificationResult:
-    """Identify a vehicle from the first part of each drive, and validate it on the second."""
     fit = _fit([first for first, _ in parts], car, settings, structure)
     found = fit.x[fit.space.size :]
     unexplained = tuple(
@@ -112,9 +108,8 @@ def _identify(
 def identify_structure(
     record: Record, car: VehicleParameters, settings: SolverSettings
 ) -> tuple[VehicleParameters, VehicleUncertainty]:
-    """Return `car` with the elements that its description leaves out, found on one drive, and
-    what stays unknown of it; without validation. Raises CalibrationError on a drive that is too
-    short, too slow or too smooth.
+    """Return `car` with the elements that its description leaves out, found on one drive without
+    validation, and its uncertainty. Raises CalibrationError if that is too short, slow or smooth.
     """
     is_short = TUNING.fit_share * record.t.size < TUNING.min_duration * record.fs
     first, _ = _parts(CalibrationDrive(record), settings, 1.0 if is_short else TUNING.fit_share)
@@ -127,10 +122,8 @@ def _fit(
     settings: SolverSettings,
     structure: bool,
 ) -> CarFit:
-    """Return the fit to `drives`, from near the resonances that are searched: a resonance is found
-    only from near its frequency.
-
-    One mode after the other, the frequency is taken at which the drives cost least. The noise that
+    """Return the fit to `drives`. A resonance is found only from near its frequency, so for one
+    mode after the other the frequency is searched at which the drives cost least. The noise that
     they leave does not tell where all of it is explained: by another road.
     """
     space = parameter_space(car, structure)
@@ -196,7 +189,6 @@ def _parts(
 def _objective(
     drive: CalibrationDrive, car: VehicleParameters, settings: SolverSettings
 ) -> Objective:
-    """Return the objective of a drive as one window."""
     readings, is_measured = TUNING.readings_per_unknown, drive.profile is not None
     if is_measured:  # slow readings tell of waves that a survey measures well
         rate, readings = TUNING.known_data_rate, 0.0
@@ -208,10 +200,9 @@ def _objective(
 
 
 def _on_profile(objective: Objective, drive: CalibrationDrive) -> Objective:
-    """Return the objective with the known road, if there is one, in place of the prior's.
-
-    The road is the Wiener filter's estimate from the profile: left as measured, errors of short
-    waves would count as road and make the vehicle look softer than it is.
+    """Return the objective with the known road, if there is one, in place of the prior's: the
+    Wiener filter's estimate from the profile. Left as measured, errors of short waves would count
+    as road and make the vehicle look softer than it is.
     """
     road, profile = objective.road, drive.profile
     if profile is None:
@@ -223,7 +214,7 @@ def _on_profile(objective: Objective, drive: CalibrationDrive) -> Objective:
     noise = 2.0 * drive.survey_std**2 * profile.ds
 
     def share(n: np.ndarray) -> np.ndarray:
-        """Return the road's share of the profile's density at `n` [cycles/m]."""
+        """The road's share of the profile's density at `n` [cycles/m]."""
         density = prior.density(np.maximum(n, 1e-6))
         return density / (density + noise)
 
@@ -243,13 +234,12 @@ def _on_profile(objective: Objective, drive: CalibrationDrive) -> Objective:
 
 
 def _check_profile(objective: Objective, drive: CalibrationDrive) -> None:
-    """Raise CalibrationError if the readings do not belong to the profile, and say what would."""
     (one,), profile = objective.passes, drive.profile
     assert profile is not None
     y = one.measurements.y - one.measurements.y.mean(axis=1, keepdims=True)
 
     def compare(z: np.ndarray) -> tuple[float, float]:
-        """Return the correlation with the readings expected on heights `z`, and over them."""
+        """The correlation with the readings expected on heights `z`, and the ratio to them."""
         known = _on_profile(objective, replace(drive, profile=Profile(profile.s, z))).road
         lin = one.linearize(known.background, np.zeros(one.size))
         expected = one.measurements.y - lin.residual
@@ -289,12 +279,10 @@ def _solve(
     quick: bool = False,
     errors: np.ndarray = NO_ERRORS,
 ) -> MapSolution:
-    """Return the most probable road of a drive with the vehicle `car`, `quick`: roughly, and with
-    instruments of these `errors`.
-    """
-    objective = _objective(drive, car, settings)
-    objective = objective.with_passes(lambda one: InstrumentErrors.of(one).apply(one, errors))
-    solver = GaussNewton(settings.huber)
+    """The most probable road of a drive, roughly if `quick`, with instruments of these `errors`."""
+    objective, solver = _objective(drive, car, settings), GaussNewton(settings.huber)
+    (one,) = objective.passes
+    objective = replace(objective, passes=(InstrumentErrors.of(one).apply(one, errors),))
     if drive.profile is not None:
         return _settle(objective, solver, 2 if quick else TUNING.settling_steps)
     if quick:
@@ -303,9 +291,8 @@ def _solve(
 
 
 def _settle(objective: Objective, solver: GaussNewton, max_steps: int) -> MapSolution:
-    """Return the solution over a known road; only first state and biases are found.
-
-    A drive that is cut out begins in motion, and only a few steps find its first state.
+    """Return the solution over a known road, of first state and biases alone: a drive that is cut
+    out begins in motion, and only a few steps find its first state.
     """
     lin = objective.linearize(np.zeros(objective.size))
     found = MapSolution(lin, stationary_hessian(objective), np.array([np.inf]))
@@ -323,7 +310,6 @@ def _unexplained(
     settings: SolverSettings,
     errors: np.ndarray = NO_ERRORS,
 ) -> Unexplained:
-    """Return what `car` leaves unexplained in a drive, with instruments of these `errors`."""
     (lin,) = _solve(drive, car, settings, errors=errors).linearization.passes
     source, used = lin.source, lin.source.is_used
     r = np.where(used, np.sqrt(source.information) * lin.residual, 0.0)

@@ -9,9 +9,6 @@ from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import IDENTIFIED, VehicleUncertainty
 from road_envs.vehicle.parameters import Tolerance, VehicleParameters
 
-AS_DESCRIBED = "as described, since the drives are those of another kind of vehicle"
-"""Source of the tolerances of a vehicle of another kind."""
-
 
 @dataclass(frozen=True, eq=False)
 class Unexplained:
@@ -26,8 +23,8 @@ class Unexplained:
 
 @dataclass(frozen=True, eq=False)
 class IdentificationResult:
-    """Result: the `fit`, the identified `car`, what is not known of it, and what the described and
-    the identified vehicle leave `unexplained` in the held-out part of each drive.
+    """The `fit`, the identified `car` and its `uncertainty`, and what the described and the
+    identified vehicle leave `unexplained` in the held-out part of each drive.
     """
 
     fit: CarFit
@@ -37,7 +34,6 @@ class IdentificationResult:
 
     @property
     def std(self) -> np.ndarray:
-        """Standard deviations (P,) of the parameters in units of their tolerances."""
         return self.fit.std
 
     @property
@@ -48,8 +44,7 @@ class IdentificationResult:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters (P,), errors of the instruments last."""
-        space = self.fit.space
-        return (*space.names, *self.fit.instrument_errors.names)[: self.fit.x.size]
+        return (*self.fit.space.names, *self.fit.instrument_errors.names)[: self.fit.x.size]
 
     @property
     def sensor_gains(self) -> tuple[float, ...]:
@@ -80,8 +75,8 @@ class IdentificationResult:
         """Sentences on parameters that the drives do not determine, and on doubtful results."""
         size = self.fit.space.size
         x, std, names = self.fit.x[:size], self.std[:size], self.names
-        open_ = [names[i] for i in np.flatnonzero(std > TUNING.undetermined)]
-        far = [names[i] for i in np.flatnonzero(np.abs(x) > TUNING.far)]
+        open_ = ", ".join(names[i] for i in np.flatnonzero(std > TUNING.undetermined))
+        far = ", ".join(names[i] for i in np.flatnonzero(np.abs(x) > TUNING.far))
         notes = []
         if _is_another_kind(self.fit):
             notes.append(
@@ -90,11 +85,9 @@ class IdentificationResult:
                 "its tolerances are left as described, so heights and IRI stay as uncertain"
             )
         if open_:
-            notes.append(f"not determined by the drives, kept as described: {', '.join(open_)}")
+            notes.append(f"not determined by the drives, kept as described: {open_}")
         if far:
-            notes.append(
-                f"more than {TUNING.far:g} tolerances from the description: {', '.join(far)}"
-            )
+            notes.append(f"more than {TUNING.far:g} tolerances from the description: {far}")
         if self.fit.x.size > size:
             notes.append(
                 "errors of the instruments are not in the vehicle's file; calibrate of an "
@@ -107,7 +100,6 @@ class IdentificationResult:
 
 
 def _is_another_kind(fit: CarFit) -> bool:
-    """Return whether the drives are those of a vehicle of another kind than the described one."""
     return bool(fit.contradiction > TUNING.contradiction and (np.abs(fit.x) > TUNING.far).any())
 
 
@@ -119,7 +111,8 @@ def posterior_of(
     """
     space, source = fit.space, IDENTIFIED
     if _is_another_kind(fit):
-        fit, source = replace(fit, covariance=np.eye(fit.x.size)), AS_DESCRIBED
+        fit = replace(fit, covariance=np.eye(fit.x.size))
+        source = "as described, since the drives are those of another kind of vehicle"
     std = space.std * np.minimum(fit.std[: space.size], 1.0)
     found = {
         name: Tolerance(relative=relative, source=source)

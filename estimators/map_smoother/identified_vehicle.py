@@ -1,9 +1,6 @@
-"""Calibration of the estimators that have a model of the vehicle: they all identify it alike.
-
-The drives of one vehicle identify its parameters, and over a measured road the gains of its sensors
-and the displacement of its odometer too (`estimators.map_smoother.identification`). What was
-identified is remembered in the user's cache, since several estimators are often calibrated with the
-same drives.
+"""Calibration of the estimators that have a model of the vehicle: they all identify it alike, and
+over a measured road the gains of its sensors and the displacement of its odometer too. It is
+remembered in the user's cache, as several estimators are often calibrated with the same drives.
 """
 
 import hashlib
@@ -83,10 +80,7 @@ class CalibratedByIdentification(Settings):
 def _identify_once(
     drives: Sequence[CalibrationDrive], car: VehicleParameters, instruments: str
 ) -> IdentifiedVehicle:
-    """Identify a vehicle, or return what was identified from the same drives before.
-
-    Raises CalibrationError, ConfigError.
-    """
+    """Identify a vehicle, or return the one that the same drives have identified before."""
     sensors = load_instruments(instruments)  # by content: `str` names every field in its order
     identity = KIND.identity(asdict(car), sensors, _drives_digest(drives))
     return KIND.find_or_make(
@@ -101,17 +95,13 @@ def _identify(
     drives: Sequence[CalibrationDrive], car: VehicleParameters, instruments: str
 ) -> IdentifiedVehicle:
     found = identify(drives, car, SolverSettings(instruments=instruments), structure=None)
-    covariance = tuple(map(tuple, found.uncertainty.covariance.tolist()))
+    rows = tuple(map(tuple, found.uncertainty.covariance.tolist()))
     return IdentifiedVehicle(
-        car=found.car,
-        gain=found.sensor_gains,
-        displacement=found.displacement,
-        covariance=covariance,
+        car=found.car, gain=found.sensor_gains, displacement=found.displacement, covariance=rows
     )
 
 
 def _drives_digest(drives: Sequence[CalibrationDrive]) -> str:
-    """Digest of the records and the profiles of the drives."""
     total = hashlib.sha256()
     for drive in drives:
         record, profile = drive.record, drive.profile

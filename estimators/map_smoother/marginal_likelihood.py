@@ -36,9 +36,8 @@ NO_ERRORS = np.zeros(0)
 class LikelihoodTerms(NamedTuple):
     """Terms of the marginal likelihood of one drive: `gradient` (P,), `information` (P, P), and the
     covariance of the gradient `score_covariance` (P, P), which is the information if the model is
-    right. Empty where the road was measured: the derivatives `log_det_gradient` (P,) of
-    1/2 log det A, and the change of the solution's unknowns `to_optimum` (n,) and `by_parameter`
-    (P, n).
+    right. Empty where the road was measured: the derivatives `log_det_gradient` (P,) of 1/2 log det
+    A, and the change of the solution's unknowns `to_optimum` (n,) and `by_parameter` (P, n).
     """
 
     gradient: np.ndarray
@@ -49,9 +48,7 @@ class LikelihoodTerms(NamedTuple):
     by_parameter: np.ndarray = np.zeros(0)
 
     def change(self, step: np.ndarray) -> np.ndarray | None:
-        """Return the expected change (n,) of the unknowns with a `step` (P,) of the parameters;
-        None where the road was measured.
-        """
+        """Expected change (n,) of the unknowns with a `step` (P,); None on a measured road."""
         return self.to_optimum + step @ self.by_parameter if self.by_parameter.size else None
 
 
@@ -65,34 +62,24 @@ def perturbed_cars(space: ParameterSpace, x: np.ndarray) -> list[VehicleParamete
 def perturbed_passes(
     original: Pass, cars: Sequence[VehicleParameters], errors: np.ndarray = NO_ERRORS
 ) -> list[Pass]:
-    """The pass of each of the `cars`, as of `perturbed_cars`, with instruments that have these
-    `errors` (0 or R,); those of the `original` have none.
-    """
+    """The `original` pass, of instruments without errors, with each of `cars` and the `errors`."""
     instruments = InstrumentErrors.of(original)
     return [instruments.apply(original.with_car(car), errors) for car in cars]
 
 
 def sensitivities(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
-    """Return the derivatives (P, S, J) of the block means by the parameters, at a fixed road.
-
-    `varied` as of `perturbed_passes`. Raises ArithmeticError if a motion is not finite.
-    """
+    """Derivatives (P, S, J) of block means by the parameters at `lin`. Raises ArithmeticError."""
     left = varied_residuals(lin, varied)
     return (left[0] - left[1:]) / TUNING.difference
 
 
 def varied_residuals(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
-    """Return the residuals (V, S, J) of other vehicles on the road of `lin`.
-
-    Raises ArithmeticError if a motion is not finite.
-    """
+    """Residuals (V, S, J) of other vehicles on the road of `lin`. Raises ArithmeticError."""
     source = lin.source
     start, bias = source.split(lin.own)
     road = source.road_under_wheels(lin.c, source.wheelbase(lin.own))
-    inputs, strut_state = source.inputs, source.strut_state
-    shared = SharedInputs(
-        road, inputs.commands, strut_state, source.model.valve_lag, inputs.h, inputs.v[1::2]
-    )
+    inputs, state, lag = source.inputs, source.strut_state, source.model.valve_lag
+    shared = SharedInputs(road, inputs.commands, state, lag, inputs.h, inputs.v[1::2])
     starts = [one.initial_state + start for one in varied]
     motions = drive_variants([one.model.plant for one in varied], starts, shared)
     left = np.array([one.residual(a, bias) for one, a in zip(varied, motions, strict=True)])
@@ -105,16 +92,13 @@ def varied_residuals(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
 
 
 def reading_sensitivities(lin: LinearizedPass, base: Pass, errors: np.ndarray) -> np.ndarray:
-    """Return the derivatives (R, S, J) by errors of the instruments, at `errors` (R,) of them.
-
-    `base` is the pass of the vehicle of `lin` with instruments without errors.
-    """
+    """Derivatives (R, S, J) by errors of the instruments at `errors` (R,); `base` has none."""
     instruments = InstrumentErrors.of(base)
     _, bias = base.split(lin.own)
     found = []
     for k, unit in enumerate(np.eye(errors.size)):
         varied = instruments.apply(base, errors + TUNING.difference * unit)
-        if k < instruments.n_fixed:  # the vehicle moves as before
+        if k < errors.size - 2:  # the vehicle moves as before
             found.append(varied.residual(lin.tape.acceleration, bias))
         else:
             found.append(varied.linearize(lin.c, lin.own).residual)
@@ -122,15 +106,9 @@ def reading_sensitivities(lin: LinearizedPass, base: Pass, errors: np.ndarray) -
 
 
 def known_road_terms(
-    solution: MapSolution,
-    original: Pass,
-    cars: Sequence[VehicleParameters],
-    errors: np.ndarray,
+    solution: MapSolution, original: Pass, cars: Sequence[VehicleParameters], errors: np.ndarray
 ) -> LikelihoodTerms:
-    """Return the terms of a drive over a measured road; arguments as of `perturbed_passes`.
-
-    Raises ArithmeticError if a motion is not finite.
-    """
+    """Terms of a drive over a measured road, as of `perturbed_passes`. Raises ArithmeticError."""
     (lin,), road = solution.linearization.passes, solution.linearization.objective.road
     G = sensitivities(lin, perturbed_passes(original, cars, errors))
     if errors.size > 0:
@@ -167,9 +145,7 @@ def _spectrum(one: Pass, means: np.ndarray) -> np.ndarray:
 
 
 def _covariance(road: RoadTransform, one: Pass, f: np.ndarray) -> np.ndarray:
-    """Return the covariance (F, S, S) [(m/s²)²] of the block means' spectrum at `f` (F,) [Hz], in
-    units in which that of unit white noise of the block means is 1.
-    """
+    """Covariance (F, S, S) of the spectrum at `f` (F,) [Hz]; 1 of unit white noise of the means."""
     v, dt = float(one.inputs.v.mean()), one.block_duration
     density = np.abs(road.transfer_function()) ** 2 * road.ds / (v * dt)
     response = np.sinc(f * dt) ** 2

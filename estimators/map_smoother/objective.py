@@ -10,7 +10,7 @@ gradient is that of the computed steps (`road_envs.simulation.tape`), the Hessia
 Newton, I + J' R^-1 J. A single drive is one pass without shifts.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -28,9 +28,7 @@ Means = Sequence[np.ndarray]
 
 
 def shift_inputs(inputs: ModelInputs, knots: np.ndarray, shift: np.ndarray) -> ModelInputs:
-    """Inputs whose stations are moved by `shift` (M,) [m] at the stations `knots` (M,) [m], by the
-    nearest one beyond the ends.
-    """
+    """Inputs with stations moved by `shift` (M,) [m] at `knots` (M,), constant beyond the ends."""
     if not shift.any():
         return inputs
     slope = np.concatenate([[0.0], np.diff(shift) / np.diff(knots), [0.0]])
@@ -51,29 +49,21 @@ class Objective:
 
     @property
     def size(self) -> int:
-        """Number of unknowns."""
         return 2 * self.road.size + sum(one.size for one in self.passes) + self.n_shifts
 
     @property
     def n_shifts(self) -> int:
-        """Number of unknown shifts of all passes."""
         return (len(self.passes) - 1) * self.knots.size
 
     @property
     def is_underdetermined(self) -> bool:
-        """True if there are no more sensors than the two wheel paths: a road explains all
-        measurements.
-        """
+        """True if a road explains all measurements, as of no more sensors than wheel paths."""
         return sum(len(one.model.sensor_rows) for one in self.passes) <= 2
 
     @property
     def noise_variance(self) -> np.ndarray:
         """Variance (P,) [(m/s²)²] of a sample's noise in each pass."""
         return np.array([one.model.noise_variance for one in self.passes])
-
-    def with_passes(self, change: Callable[[Pass], Pass]) -> "Objective":
-        """Apply a `change` to each pass."""
-        return replace(self, passes=tuple(map(change, self.passes)))
 
     def split(self, x: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
         """Split the unknowns into `u` (2, K), those of each pass, and the shifts (P, M) [m] of the
@@ -116,7 +106,6 @@ class Linearization:
 
     @property
     def cost(self) -> float:
-        """The cost at `x`."""
         pairs = zip(self.residual, self.apply_inverse_covariance(self.residual), strict=True)
         misfit = sum(0.5 * float(np.sum(residual * weighted)) for residual, weighted in pairs)
         return misfit + 0.5 * float(self.x @ self.x)
@@ -127,7 +116,6 @@ class Linearization:
         return self.with_noise([one.source.information / k for one, k in pairs]).cost
 
     def gradient(self) -> np.ndarray:
-        """Gradient of the cost with respect to `x`."""
         return self.x - self.adjoint(self.apply_inverse_covariance(self.residual))
 
     def hessian_product(self, dx: np.ndarray) -> np.ndarray:
@@ -145,7 +133,6 @@ class Linearization:
         return [one.inverse_variance for one in self.passes]
 
     def apply_inverse_covariance(self, means: Means) -> list[np.ndarray]:
-        """R^-1 times block means."""
         pairs = zip(self.passes, means, strict=True)
         return [one.apply_inverse_covariance(part) for one, part in pairs]
 
@@ -162,12 +149,8 @@ class Linearization:
         """Apply the transpose of `tangent`: from block means to `x`."""
         pairs = [one.adjoint(part) for one, part in zip(self.passes, means, strict=True)]
         u = self.objective.road.apply_transpose(np.sum([c for c, _ in pairs], axis=0))
-        shifts = []
-        if self.objective.n_shifts:
-            shifts = [
-                TUNING.shift_std * self._hats @ np.sum(self._slope * c, axis=0)
-                for c, _ in pairs[1:]
-            ]
+        moved = [np.sum(self._slope * c, axis=0) for c, _ in pairs[1:] if self.objective.n_shifts]
+        shifts = (TUNING.shift_std * self._hats @ one for one in moved)
         return np.concatenate([u.ravel(), *(own for _, own in pairs), *shifts])
 
     @cached_property
@@ -222,7 +205,7 @@ class Linearization:
         self, inverse_variance: Means, weights: Sequence[np.ndarray | None] | None = None
     ) -> "Linearization":
         """The same point under other inverse variances (S, J) of the noise of each pass and, if
-        given, other `weights` (J // 2 + 1,) of its frequencies.
+        given, `weights` (J // 2 + 1,) of its frequencies.
         """
         weights = weights or [one.frequency_weights for one in self.passes]
         rows = zip(self.passes, inverse_variance, weights, strict=True)

@@ -60,8 +60,8 @@ class MeasurementModel:
 class Pass:
     """One pass in a window. The vehicle begins about the state `initial_state` (14,), with the
     prior standard deviation `initial_std` (14,), with `strut_state` (4, 3) and the `filter_state`
-    (n, S, 2) of the model's filter, if it has one. `nodes` are those of the road; each sensor has J
-    block means in the `measurements`.
+    (n, S, 2) of the model's filter, if any. `nodes` of the road; J block means `measurements` of
+    each sensor.
     """
 
     model: MeasurementModel
@@ -75,9 +75,7 @@ class Pass:
 
     @property
     def size(self) -> int:
-        """Number of the pass's own unknowns."""
-        sensors = self.model.sensor_rows.shape[0]
-        return self.initial_std.size + sensors + self.is_speed_unknown
+        return self.initial_std.size + len(self.model.sensor_rows) + self.is_speed_unknown
 
     @property
     def is_speed_unknown(self) -> bool:
@@ -85,10 +83,9 @@ class Pass:
         return self.model.speed_std > 0.0
 
     def offset_scale(self, noise_variance: float, start_information: np.ndarray) -> np.ndarray:
-        """Root of the Hessian's diagonal at the own unknowns, about.
-
-        `start_information` (14,) is that of measurements of unit variance on the initial state. It
-        counts for a drive that begins in motion; at rest the state is known.
+        """Root of the Hessian's diagonal at the own unknowns, about. `start_information` (14,) of
+        measurements of unit variance on the initial state counts for a drive that begins in motion;
+        at rest the state is known.
         """
         count = self.measurements.sample_count.sum(axis=1)
         bias = np.sqrt(1.0 + self.model.bias_std**2 * count / noise_variance)
@@ -106,12 +103,12 @@ class Pass:
     @property
     def block_duration(self) -> float:
         """Duration [s] of the samples of one block mean."""
-        inputs, samples = self.inputs, self.measurements.sample_weight.shape[2]
-        return inputs.h * inputs.decimation * samples
+        samples = self.measurements.sample_weight.shape[2]
+        return self.inputs.h * self.inputs.decimation * samples
 
     def split(self, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Split the own unknowns into initial deviation (14,) and biases (S,), in SI units."""
-        sizes = self.initial_std.size, self.model.sensor_rows.shape[0]
+        sizes = self.initial_std.size, len(self.model.sensor_rows)
         start, bias, _ = np.split(own, np.cumsum(sizes))
         return self.initial_std * start, self.model.bias_std * bias
 
@@ -132,17 +129,12 @@ class Pass:
 
     @property
     def footprint(self) -> Footprint:
-        """The enveloping of the road by the tyres."""
         return Footprint.of(self.model.contact_length, self.nodes.ds)
 
     def with_car(self, car: VehicleParameters) -> "Pass":
         """The pass of another vehicle, which begins as far from its equilibrium."""
-        model = replace(
-            self.model,
-            plant=build_plant(car),
-            bending=sensed_bending(car, self.model.locations),
-            contact_length=car.variation.contact_length,
-        )
+        bending, length = sensed_bending(car, self.model.locations), car.variation.contact_length
+        model = replace(self.model, plant=build_plant(car), bending=bending, contact_length=length)
         new = replace(self, model=model)
         change = new._level_equilibrium - self._level_equilibrium
         return replace(new, initial_state=self.initial_state + change)
@@ -154,19 +146,12 @@ class Pass:
         return equilibrium(self.model.plant, strut_state, np.zeros(4))
 
     def simulate(self, c: np.ndarray, own: np.ndarray, plant: Plant | None = None) -> Tape:
-        """Drive over the road of the coefficients `c` (2, K), taped, with the plant of the model or
-        another. Raises ArithmeticError if the motion is not finite.
-        """
-        start, _ = self.split(own)
+        """Tape of a drive over `c` (2, K) by the model or another plant. Raises ArithmeticError."""
+        (start, _), inputs, model = self.split(own), self.inputs, self.model
+        begin = plant or model.plant, self.strut_state, self.initial_state + start
+        road = self.road_under_wheels(c, self.wheelbase(own))
         return linearize_drive(
-            plant or self.model.plant,
-            self.strut_state,
-            self.initial_state + start,
-            self.road_under_wheels(c, self.wheelbase(own)),
-            self.inputs.h,
-            commands=self.inputs.commands,
-            lag=self.model.valve_lag,
-            v=self.inputs.v[1::2],
+            *begin, road, inputs.h, commands=inputs.commands, lag=model.valve_lag, v=inputs.v[1::2]
         )
 
     def linearize(
@@ -182,9 +167,7 @@ class Pass:
     def state_after(
         self, c: np.ndarray, own: np.ndarray, steps: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Vehicle state (14,), strut state (4, 3) and that of the anti-alias filter after `steps`
-        on the road of `c` (2, K).
-        """
+        """Vehicle state (14,), strut state (4, 3) and filter state after `steps` on `c` (2, K)."""
         part = replace(self, inputs=self.inputs.slice_steps(0, steps))
         tape, filter_state = part.simulate(c, own), self.filter_state
         if self.model.filter is not None:
@@ -199,13 +182,10 @@ class Pass:
 
     @property
     def is_used(self) -> np.ndarray:
-        """Which block means (S, J) contain samples."""
         return self.measurements.sample_count > 0
 
     def residual(self, acceleration: np.ndarray, bias: np.ndarray) -> np.ndarray:
-        """Return measured less predicted block means (S, J) [m/s²] of the sensors, from the
-        accelerations (N, 7) of the coordinates.
-        """
+        """Measured less predicted block means (S, J) [m/s²], of accelerations (N, 7)."""
         return self.in_band(self.measurements.residual(self.sense(acceleration) + bias[:, None]))
 
     @property
@@ -221,8 +201,8 @@ class Pass:
         return _apply_frequency_weights(f <= self.model.bandwidth, means)
 
     def sense(self, acceleration: np.ndarray, follows: bool = True) -> np.ndarray:
-        """Return the samples (S, T) [m/s²] of sensors without bias from the accelerations (N, 7) of
-        the coordinates, which follow those before the window, or zeros.
+        """Samples (S, T) [m/s²] of sensors without bias from the accelerations (N, 7) of the
+        coordinates, which follow those before the window, or zeros.
         """
         inputs, sampled = self.inputs, self.sampled_filter
         if sampled is None:
@@ -248,9 +228,8 @@ class Pass:
 @dataclass(frozen=True, eq=False)
 class LinearizedPass:
     """A pass `source` linearized at the coefficients `c` (2, K) of the road and at its `own`
-    unknowns: the `tape` of the motion, the `residual` (S, J) [m/s²] of the measurements, the
-    `inverse_variance` (S, J) of their noise and, if given, the `frequency_weights` (J // 2 + 1,) on
-    it.
+    unknowns: the `tape` of the motion, the `residual` (S, J) [m/s²] of the measurements, and the
+    `inverse_variance` (S, J) and `frequency_weights` (J // 2 + 1,), if given, of their noise.
     """
 
     source: Pass
@@ -270,7 +249,6 @@ class LinearizedPass:
 
     @cached_property
     def block_tangent(self) -> BlockTangent:
-        """The tangent at this point, as matrices."""
         o, model = self.source, self.source.model
         inputs, rows, weight = o.inputs, model.sensor_rows, o.measurements.sample_weight
         if o.sampled_filter is not None:  # means of groups of steps, which the filter then samples
@@ -292,9 +270,7 @@ class LinearizedPass:
         return change / (2.0 * TUNING.speed_difference)
 
     def tangent(self, dc: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Change (S, J) of the predicted block means by small changes `dc` (2, K) of the road's
-        coefficients and of the `own` unknowns.
-        """
+        """Change (S, J) of the predicted block means by small changes `dc` (2, K) and `own`."""
         o = self.source
         start, bias = o.split(own)
         means = self.read_road(start, dc)
@@ -303,9 +279,7 @@ class LinearizedPass:
         return o.in_band(means + bias[:, None])
 
     def adjoint(self, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Apply the transpose of `tangent`: from block means (S, J) to coefficients (2, K) and own
-        unknowns.
-        """
+        """Apply the transpose of `tangent`: from block means (S, J) to `dc` (2, K) and `own`."""
         o = self.source
         means = o.in_band(means)
         rest = o.model.bias_std * means.sum(axis=1)

@@ -20,18 +20,14 @@ from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
-from estimators.map_smoother.wheel_liftoff import (
-    LiftoffError,
-    lower_road,
-    road_below_light_wheels,
-)
+from estimators.map_smoother.wheel_liftoff import LiftoffError, lower_road, road_below_light_wheels
 
 
 class RoadPosterior(NamedTuple):
-    """The `solution` at the mean of the road below light wheels, the standard deviation `std`
-    (2, K) [m] of the error in the band at each node, the `vehicle_share` of its variance, the
-    `evidence` of `_VehicleErrors`, and samples `deviations` (D, 2, K) [m] of the road's deviation
-    from the mean in all waves.
+    """The `solution` at the mean of the road below light wheels, the standard deviation `std` (2,
+    K) [m] of the error in the band at each node, the `vehicle_share` of its variance, the
+    `evidence` of `_VehicleErrors`, and samples `deviations` (D, 2, K) [m] from the mean in all
+    waves.
     """
 
     solution: MapSolution
@@ -47,14 +43,12 @@ def posterior_mean_and_std(
     draws: int,
     uncertainty: VehicleUncertainty | None = None,
 ) -> RoadPosterior:
-    """Return the posterior of the road, with its error inside `band` [cycles/m].
-
-    `uncertainty` is that of the vehicle, of one pass. That of a vehicle as described is the part of
-    the tolerances which the misfit of this drive leaves possible.
-
-    The course of the deviation along the road is that of the local roughness, by the stationary
-    approximation; its level, from the samples, is the same for all nodes that were passed in the
-    same strut state. Of nodes that no sensor has read the prior is all that is known.
+    """Return the posterior of the road, with its error inside `band` [cycles/m]. `uncertainty` is
+    that of the vehicle, of one pass; of a vehicle as described the part of the tolerances counts
+    which the misfit of this drive leaves possible. The course of the deviation along the road is
+    that of the local roughness, by the stationary approximation; its level, from the samples, is
+    the same for all nodes that were passed in the same strut state. Of nodes that no sensor has
+    read the prior is all that is known.
     """
     lin, rng = solution.linearization, np.random.default_rng(0)
     objective, road = lin.objective, lin.objective.road
@@ -65,7 +59,7 @@ def posterior_mean_and_std(
     middle = interior(road.free, round(1.0 / (band[0] * road.ds))) & ~unread
 
     def mean_square(roads: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the mean square (2, K) [m²] of roads in the band."""
+        """The mean square (2, K) [m²] of roads in the band."""
         total = np.zeros((2, road.size))
         for c in roads:
             part = band_pass(c, inside)
@@ -77,7 +71,6 @@ def posterior_mean_and_std(
         return [road.apply(objective.split(dx)[0]) for dx in changes]
 
     drawn = draw_deviations(lin, solve, rng, draws)
-    square = mean_square(roads_of(drawn))
     errors_of_vehicle = _VehicleErrors()
     if draws and uncertainty:
         if uncertainty.is_prior:
@@ -86,7 +79,7 @@ def posterior_mean_and_std(
         if not uncertainty.is_prior or errors_of_vehicle.evidence > TUNING.quick_evidence:
             errors_of_vehicle = _draw_vehicle_errors(solution, rng, uncertainty)
     of_vehicle = errors_of_vehicle.weight * mean_square(roads_of(errors_of_vehicle.moved))
-    square = square + of_vehicle
+    square = mean_square(roads_of(drawn)) + of_vehicle
     vehicle_share = float(of_vehicle.mean() / max(square.mean(), 1e-300))
     shape = solution.stationary.error_variance(road, solution.noise_variance, inside)
     # a band-pass spreads errors along the road by the square of its impulse response
@@ -102,9 +95,8 @@ def posterior_mean_and_std(
     deviations = np.zeros((0, 2, road.size))
     if draws:  # they have the level of the exact samples in each strut state, too
         deviations = _draw_roads(solution, drawn, errors_of_vehicle)
-        ratio = _average_by_strut_state(
-            variance, mean_square(list(deviations)), middle, states, road.ds
-        )
+        ours = mean_square(list(deviations))
+        ratio = _average_by_strut_state(variance, ours, middle, states, road.ds)
         steps = np.sqrt(np.where(unread, 1.0, ratio)) * np.diff(deviations, axis=2, prepend=0.0)
         deviations = np.cumsum(steps, axis=2)
         # heights that are wrong by their vehicle have the power of these errors once already
@@ -125,12 +117,10 @@ def posterior_mean_and_std(
 def _draw_roads(
     solution: MapSolution, exact: Sequence[np.ndarray], vehicle: "_VehicleErrors"
 ) -> np.ndarray:
-    """Samples (D, 2, K) [m] of the road's deviation from the posterior mean.
-
-    The preconditioner is the inverse root of the stationary Hessian, so that it makes white noise a
-    sample of the stationary posterior. In each octave this gets the power of the `exact` samples,
-    as far as they tell it. A linear combination of the samples of the vehicle's errors with random
-    weights of unit variance is another such sample.
+    """Samples (D, 2, K) [m] of the road's deviation from the posterior mean: of the stationary one,
+    by the preconditioner, which is the inverse root of the stationary Hessian, of white noise. Each
+    octave gets the power of the `exact` samples, as far as they tell it. Sums of samples of the
+    vehicle's errors with random weights of unit variance are such samples, too.
     """
     lin, road = solution.linearization, solution.linearization.objective.road
     # another noise in each window of a drive
@@ -162,11 +152,9 @@ def _draw_roads(
 def _add_liftoff_errors(
     variance: np.ndarray, errors: Sequence[LiftoffError], lines: np.ndarray
 ) -> np.ndarray:
-    """Return the `variance` (2, K) [m²] of the error in the band of the spectral `lines`, with that
-    of the road below light wheels.
-
-    Where an edge is, is not known to a fraction of a wave in the band, so each error counts by its
-    envelope.
+    """Return the `variance` (2, K) [m²] of the error in the band of the spectral `lines` with the
+    `errors` below light wheels. Where an edge is, is not known to a fraction of a wave in the band,
+    so each counts by its envelope.
     """
     total = variance.copy()
     for path, height in errors:
@@ -177,16 +165,11 @@ def _add_liftoff_errors(
 def draw_deviations(
     lin: Any, solve: Operator, rng: np.random.Generator, draws: int
 ) -> list[np.ndarray]:
-    """Return samples of the deviation of `x` from its posterior mean; `solve` as of
-    `MapSolution.inverse_hessian`.
-
-    `lin` is a linearization, or the expectation of some over roads
-    (`attainable._ExpectedInformation`).
+    """Return samples of the deviation of `x` from its posterior mean at `lin`, a linearization or
+    an `attainable._ExpectedInformation`; `solve` as of `MapSolution.inverse_hessian`.
     """
-    size = lin.objective.size
-    return [
-        solve(lin.adjoint(lin.draw_noise(rng)) + rng.standard_normal(size)) for _ in range(draws)
-    ]
+    size, times = lin.objective.size, range(draws)
+    return [solve(lin.adjoint(lin.draw_noise(rng)) + rng.standard_normal(size)) for _ in times]
 
 
 class _VehicleErrors(NamedTuple):
@@ -208,9 +191,8 @@ def _draw_vehicle_errors(
     draws: int = TUNING.vehicle_draws,
     cg: tuple[int, float] = TUNING.vehicle_cg,
 ) -> _VehicleErrors:
-    """Return samples of the road's error by that of the vehicle; `cg` as of `inverse_hessian`.
-
-    A road cannot follow all that an error of the vehicle changes, and what is left shows in the
+    """Return samples of the road's error by that of the vehicle; `cg` as of `inverse_hessian`. A
+    road cannot follow all that an error of the vehicle changes, and what is left shows in the
     residual. Where the residual of a vehicle as described holds less of it than vehicles within the
     tolerances would leave, the vehicle is nearer to its description, and its errors count less.
     """
@@ -225,15 +207,14 @@ def _draw_vehicle_errors(
     if not uncertainty.is_prior:
         return _VehicleErrors(moved, uncertainty.inflation**2)
     root = np.sqrt(one.source.information)
-    left = [
-        (root * (change - lin.tangent(dx)[0])).ravel()
-        for change, dx in zip(changes, moved, strict=True)
-    ]
+    pairs = zip(changes, moved, strict=True)
+    left = [(root * (change - lin.tangent(dx)[0])).ravel() for change, dx in pairs]
     gram, along = np.inner(left, left), np.inner(left, (root * one.residual).ravel())
     evidence = float(along @ np.linalg.lstsq(gram, along)[0])
     typical = TUNING.shown_share * float(np.trace(gram)) / draws
     shown = max(evidence - draws, 0.0) / max(typical, 1e-12)
-    evidence /= max(1.0, lin.objective.road.length / TUNING.evidence_length)
+    length = float(lin.objective.road.ds * lin.objective.road.free.sum())
+    evidence /= max(1.0, length / TUNING.evidence_length)
     return _VehicleErrors(moved, TUNING.tolerance_inflation**2 * min(1.0, shown), evidence)
 
 
@@ -265,9 +246,7 @@ def _strut_states(road: RoadTransform, drives: Sequence[ModelInputs]) -> np.ndar
 def _average_by_strut_state(
     square: np.ndarray, shape: np.ndarray, free: np.ndarray, state: np.ndarray, ds: float
 ) -> np.ndarray:
-    """Return the mean of `square` (2, K) over that of `shape` (2, K), over `free` nodes (K,) passed
-    in the same `state` (K,).
-    """
+    """Mean of `square` (2, K) over that of `shape`, in each `state` (K,), over `free` nodes."""
     nodes = free if free.any() else np.ones(free.size, dtype=bool)
     ratio = np.full(free.size, square[:, nodes].mean() / shape[:, nodes].mean())
     for number in np.unique(state):

@@ -14,7 +14,7 @@ the nodes are shared out among levels of local roughness, and the preconditioner
 of the levels.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -24,6 +24,7 @@ from scipy.linalg import solve_continuous_lyapunov
 from scipy.ndimage import gaussian_filter1d
 
 from estimators.common.bending import BODY
+from estimators.common.conjugate_gradients import Operator
 from estimators.common.gaps import read_share
 from estimators.map_smoother.objective import Linearization, Means, Objective
 from estimators.map_smoother.one_pass import Pass
@@ -77,7 +78,6 @@ class StationaryHessian:
         return StationaryHessian(tuple(passes))
 
     def of_pass(self, k: int) -> "StationaryHessian":
-        """That of the pass `k` alone."""
         return StationaryHessian((self.passes[k]._replace(covered=1.0),))
 
     def excess(self, road: RoadTransform, noise_variance: np.ndarray) -> np.ndarray:
@@ -87,9 +87,7 @@ class StationaryHessian:
         information = np.sum([one.on_road / variance for one, variance in pairs], axis=0)
         return information * T.conj()[:, :, None] * T[:, None, :]
 
-    def preconditioner(
-        self, lin: Linearization, noise_variance: np.ndarray
-    ) -> Callable[[np.ndarray], np.ndarray]:
+    def preconditioner(self, lin: Linearization, noise_variance: np.ndarray) -> Operator:
         """A function that maps a gradient at `lin` to a step, under noise variances (P,)."""
         road = lin.objective.road
         offset_scale = lin.offset_scale(noise_variance, [one.on_start for one in self.passes])
@@ -116,20 +114,16 @@ class StationaryHessian:
         return apply
 
     def effective_dof(self, road: RoadTransform, noise_variance: np.ndarray) -> np.ndarray:
-        """Number (P,) of the road's unknowns that each pass determines; they add to all.
-
-        What all determine is shared out by the traces of posterior covariance times information.
+        """Number (P,) of the road's unknowns that each pass determines, in all those that the
+        passes do together, shared out by the traces of posterior covariance times information.
         """
         covariance = _inverse(np.eye(2) + self.excess(road, noise_variance))
         left = np.real(np.trace(covariance, axis1=1, axis2=2))
         T = road.transfer_function().T
         product = T.conj()[:, :, None] * T[:, None, :]
-        traces = np.array(
-            [
-                np.einsum("fij,fji->f", covariance, one.on_road / variance * product).real.mean()
-                for one, variance in zip(self.passes, noise_variance, strict=True)
-            ]
-        )
+        pairs = zip(self.passes, noise_variance, strict=True)
+        each = (one.on_road / variance * product for one, variance in pairs)
+        traces = np.array([np.einsum("fij,fji->f", covariance, x).real.mean() for x in each])
         covered = np.array([one.covered for one in self.passes])
         known = np.sum(road.free * self.read)
         return known * np.mean(2.0 - left) * covered * (traces / max(traces.sum(), 1e-300))
@@ -137,16 +131,14 @@ class StationaryHessian:
     def density_of(
         self, road: RoadTransform, noise_variance: np.ndarray, u: np.ndarray
     ) -> np.ndarray:
-        """Return the density (F,) over the prior's that the road of `u` (2, K) suggests.
-
-        In each octave the power of `u` over the number of its unknowns that the measurements
-        determine (MacKay 1992, doi:10.1162/neco.1992.4.3.415); where these are too few, the ratio
-        of the nearest octave.
+        """Return the density (F,) over the prior's that the road of `u` (2, K) suggests: in each
+        octave the power of `u` over the number of its unknowns that are determined (MacKay 1992,
+        doi:10.1162/neco.1992.4.3.415); where these are too few, the ratio of the nearest octave.
         """
         power = np.sum(np.abs(rfft(road.free * u, axis=1)) ** 2, axis=0) / max(road.free.sum(), 1.0)
-        excess = self.excess(road, noise_variance)
         read = np.sum(road.free * self.read) / max(road.free.sum(), 1.0)
-        told = read * np.sum(1.0 - _posteriors(excess, np.ones(1))[0], axis=1)
+        left = _posteriors(self.excess(road, noise_variance), np.ones(1))[0]
+        told = read * np.sum(1.0 - left, axis=1)
         octave = np.round(np.log2(np.maximum(road.n, road.n[1])))
         centre, group = np.unique(octave, return_inverse=True)
         lines = np.bincount(group)
@@ -162,13 +154,12 @@ class StationaryHessian:
         self, road: RoadTransform, noise_variance: np.ndarray, u: np.ndarray, passed: np.ndarray
     ) -> np.ndarray:
         """Return the local roughness (2, K) that `u` (2, K) suggests, relative to the spectrum, by
-        what is known of the nodes that wheels have `passed` (K,).
-
-        The power of the increments in a narrow window over the share of it that the measurements
-        resolve (MacKay 1992, doi:10.1162/neco.1992.4.3.415), but no less than a share of that in a
-        wide one. Some increments of a prior roughness are added, so the distribution of the
-        increments is Student's: a few large ones, the edges of an obstacle, are more probable than
-        many small ones.
+        what is known of the nodes that wheels have `passed` (K,): the power of the increments in a
+        narrow window over the share of it that the measurements resolve (MacKay 1992,
+        doi:10.1162/neco.1992.4.3.415), but no less than a share of that in a wide one. Some
+        increments of a prior roughness are added, so the distribution of the increments is
+        Student's: a few large ones, the edges of an obstacle, are more probable than many small
+        ones.
         """
         w = road.local * (TO_WHEEL_PATHS @ u) * np.sqrt(0.5) * road.free
         excess = self.excess(road, noise_variance)
@@ -195,13 +186,9 @@ class StationaryHessian:
     def error_variance(
         self, road: RoadTransform, noise_variance: np.ndarray, lines: np.ndarray
     ) -> np.ndarray:
-        """Return the variance (2, K) of the heights' error, up to a factor, at the local roughness.
-
-        Only the spatial frequencies `lines` (F,) count.
-        """
+        """Variance (2, K) of the heights' error in the `lines` (F,), up to a factor."""
         density = 0.5 * np.abs(road.transfer_function().T) ** 2
-        excess = self.excess(road, noise_variance)
-        posteriors = _posteriors(excess, ROUGHNESS_STEPS)
+        posteriors = _posteriors(self.excess(road, noise_variance), ROUGHNESS_STEPS)
         variance = ROUGHNESS_STEPS**2 * np.sum((density * posteriors)[:, lines], axis=(1, 2))
         return np.interp(road.local, ROUGHNESS_STEPS, variance)
 
@@ -209,18 +196,12 @@ class StationaryHessian:
 def stationary_hessian(objective: Objective) -> StationaryHessian:
     """The Hessian of `objective`, each pass at its mean speed, strut states by their duration."""
     road, station = objective.road, objective.road.stations
-    passed = np.array(
-        [
-            (station >= one.inputs.s[0] - one.model.wheelbase) & (station <= one.inputs.s[-1])
-            for one in objective.passes
-        ]
-    )
+    spans = [(one.inputs.s[0] - one.model.wheelbase, one.inputs.s[-1]) for one in objective.passes]
+    passed = np.array([(station >= first) & (station <= last) for first, last in spans])
     ahead, free = ~passed.any(axis=0), passed[:, road.free > 0]
-    count = max(np.any(free, axis=0).sum(), 1)
+    shares = np.sum(free, axis=1) / max(np.any(free, axis=0).sum(), 1)
     parts = []
-    for one, there, share in zip(
-        objective.passes, passed, np.sum(free, axis=1) / count, strict=True
-    ):
+    for one, there, share in zip(objective.passes, passed, shares, strict=True):
         blocks = one.measurements
         size = blocks.sample_weight.shape[2]
         middle = one.inputs.decimation * size * (2 * np.arange(blocks.y.shape[1]) + 1)
@@ -228,14 +209,12 @@ def stationary_hessian(objective: Objective) -> StationaryHessian:
         # what one sensor at least has read
         part = blocks.sample_count.max(axis=0) / size
         read = np.where(there, read_share(station, s, part, one.model.wheelbase), ahead)
-        parts.append(
-            _PassInformation(_road_information(one, road), _start_information(one), share, read)
-        )
+        information = _road_information(one, road), _start_information(one)
+        parts.append(_PassInformation(*information, share, read))
     return StationaryHessian(tuple(parts))
 
 
 def _road_information(one: Pass, road: RoadTransform) -> np.ndarray:
-    """Information (F, 2, 2) on the heights of mean and half difference."""
     inputs = one.inputs
     n, v = np.maximum(road.n, 1e-6), float(inputs.v.mean())
     parts = ((share * H.conj(), H) for share, H in linear_responses(one, n * v))
@@ -247,8 +226,8 @@ def _road_information(one: Pass, road: RoadTransform) -> np.ndarray:
 
 
 def _posteriors(excess: np.ndarray, local: np.ndarray) -> np.ndarray:
-    """Return posterior over prior variance (D, F, 2) of `u` at the local roughness `local` (D,),
-    by what P(n) `excess` (F, 2, 2) has over the prior.
+    """Posterior over prior variance (D, F, 2) of `u` at the local roughness `local` (D,), by the
+    `excess` (F, 2, 2) of P(n) over the prior.
     """
     matrices = (_inverse(np.eye(2) + d**2 * excess) for d in local)
     return np.array([np.real(M[:, [0, 1], [0, 1]]) for M in matrices])
@@ -270,9 +249,7 @@ def linear_responses(one: Pass, f: np.ndarray) -> Iterator[tuple[float, np.ndarr
 
 
 def _linear_model(one: Pass, command: int) -> LinearModel:
-    """Return the linear vehicle in the strut states of a `command` byte, with the points whose
-    accelerations the sensors need.
-    """
+    """The linear vehicle in the strut states of a `command`, with the points that sensors need."""
     model = one.model
     stiff, high = (flags[0].tolist() for flags in decode_commands(np.array([command])))
     names = {flags: name for name, flags in MODES.items()}
@@ -284,9 +261,8 @@ def _linear_model(one: Pass, command: int) -> LinearModel:
 
 
 def _start_information(one: Pass) -> np.ndarray:
-    """Information (14,) on the initial vehicle state: the diagonal of the observability Gramian,
-    the integral over time of the squared accelerations that all sensors have after a unit deviation
-    of a coordinate, times the sampling rate.
+    """Information (14,) on the initial vehicle state, the diagonal of the observability Gramian:
+    the integral of the squared accelerations after a unit deviation, times the sampling rate.
     """
     linear = _linear_model(one, one.inputs.commands[0])
     C = linear.C[: len(one.model.locations)]

@@ -41,7 +41,6 @@ from road_envs.vehicle.suspension import settled_strut_state
 @dataclass(frozen=True, kw_only=True)
 class SolverSettings(Settings):
     """Settings of the most probable road, beside the name or path of the `instruments`.
-
     `level_ends`: the road is level before station 0 and behind its length, where the drive begins
     at rest. `adapt_prior`: the prior's density is re-estimated from the drive.
     """
@@ -68,7 +67,6 @@ class SolverSettings(Settings):
 
     @property
     def road_prior(self) -> RoadPrior:
-        """The road's prior."""
         return RoadPrior(G_d0=self.G_d0, w=self.w)
 
     def prepare(
@@ -79,8 +77,8 @@ class SolverSettings(Settings):
         speed_std: float | None = None,
     ) -> tuple[PreparedDrive, tuple[str, ...]]:
         """Prepare a drive of `car`; with notes on the record. The relative error of the speed has
-        the prior standard deviation `speed_std`, or that of the instruments, whichever is greater;
-        of None it has no error. Raises ConfigError, RecordError.
+        the prior standard deviation `speed_std`, or that of the instruments if greater; with None
+        it has no error. Raises ConfigError, RecordError.
         """
         instruments = instruments_of(record, self.instruments)
         masked = mask_record(record, instruments)
@@ -102,10 +100,9 @@ class SolverSettings(Settings):
             rate = record.fs / block
             model = replace(model, filter=SensorFilter.of(instruments, inputs.h, rate))
         censored = clipped_signs(record, instruments)
+        a = np.where(valid | (censored != 0), record.a, 0.0)
         if np.isfinite(record.bandwidth):  # what is left of a gap lies between its ends
             a = bridge(record.a)
-        else:
-            a = np.where(valid | (censored != 0), record.a, 0.0)
         # the mean over the drive is mostly sensor bias
         mean = np.sum(a, axis=1, where=valid) / np.maximum(valid.sum(axis=1), 1)
         a -= mean[:, None]
@@ -131,7 +128,6 @@ class SolverSettings(Settings):
     def _measurement_model(
         self, record: Record, car: VehicleParameters, instruments: Instruments
     ) -> MeasurementModel:
-        """Return the model of the vehicle and its instruments."""
         one, locations = build_plant(car), instruments.locations(car)
         sensor_rows = linearise(one, "ride", locations).sensor_rows
         density = self.noise_density or max(instruments.noise_density, MIN_NOISE_DENSITY)

@@ -34,13 +34,11 @@ class RoadNodes(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RoadTransform:
-    """Linear map from `u` to the coefficients of both wheel paths.
-
-    Nodes are `ds` [m] apart from the station `origin` [m] on. `background` (2, K) [m] are the
-    coefficients for u = 0; `free` (K,) is 1 where the road may rise or fall, else 0;
-    `prior_amplitude` (2, K // 2 + 1) [m] and `density` (K // 2 + 1,), by which a drive scaled its
-    square, make A(n); `local` (2, K) is the local roughness of each wheel path relative to it, 1
-    where the road may not be uneven.
+    """Linear map from `u` to the coefficients of both wheel paths, of nodes as in `RoadNodes`.
+    `background` (2, K) [m] are those for u = 0; `free` (K,) is 1 where the road may rise or fall,
+    else 0; `prior_amplitude` (2, K // 2 + 1) [m] and `density` (K // 2 + 1,), by which a drive
+    scaled its square, make A(n); `local` (2, K) is the local roughness, relative to it, 1 on an
+    even road.
     """
 
     origin: float
@@ -59,23 +57,12 @@ class RoadTransform:
 
     @property
     def size(self) -> int:
-        """Nodes K of each wheel path."""
         return self.free.size
-
-    @property
-    def length(self) -> float:
-        """Length [m] that may rise or fall."""
-        return float(self.ds * self.free.sum())
 
     @property
     def stations(self) -> np.ndarray:
         """Stations (K,) [m] of the nodes."""
         return self.origin + self.ds * np.arange(self.size)
-
-    @property
-    def nodes(self) -> RoadNodes:
-        """The nodes."""
-        return RoadNodes(self.origin, self.ds, self.size)
 
     @property
     def n(self) -> np.ndarray:

@@ -3,8 +3,7 @@
 The minimization of a single drive begins at a level road, that of several at the mean of their
 single estimates, so that few steps are needed. The noise of each pass has a scale of its own, so
 that a vehicle that differs from its description counts for less. Passes whose vehicles are
-described alike are taken for drives of one vehicle: if it has to be adapted, its parameters are
-fitted to all of them.
+described alike are those of one vehicle: if it is adapted, its parameters are fitted to all.
 
 The relative error of the speed of a single drive is found together with the road. Its posterior
 standard deviation is about 0.01 % after 100 m: the bound of the linear vehicle, whose parameters
@@ -27,12 +26,7 @@ from estimators.map_smoother.car_fit import (
     noise_left,
     resolve,
 )
-from estimators.map_smoother.gauss_newton import (
-    GaussNewton,
-    MapSolution,
-    minimize,
-    misfit_power,
-)
+from estimators.map_smoother.gauss_newton import GaussNewton, MapSolution, minimize, misfit_power
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.one_pass import MeasurementModel
 from estimators.map_smoother.posterior_sampling import RoadPosterior, posterior_mean_and_std
@@ -40,12 +34,7 @@ from estimators.map_smoother.preparation import SolverSettings
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from estimators.map_smoother.wheel_liftoff import distance_in_air
-from estimators.map_smoother.windows import (
-    PreparedDrive,
-    RoadSoFar,
-    common_windows,
-    reconstruct,
-)
+from estimators.map_smoother.windows import PreparedDrive, RoadSoFar, common_windows, reconstruct
 from road_envs.records.record import DistanceScale, Profile, scored_band
 
 
@@ -55,14 +44,12 @@ class RoadSolver:
 
     `adapt`: vehicles that stay unexplained are fitted; `draws`: posterior samples for the standard
     deviation in the `band` [cycles/m]; `uncertainty` is that of the vehicle of a single drive if it
-    was identified. What it has found in all windows so far, a field a line, in this order:
+    was identified. What it has found in all windows so far, in the order of the fields:
 
-    greatest noise scale of each pass (P,);
-    distance in the air of each pass (P,) [m];
-    fits of vehicles, with the numbers of their passes;
-    fit in the present window that is not believed, and the noise scale that such fits left;
-    greatest share of the vehicle in the variance of the heights;
-    relative error of the speed of a single drive in each window, with its variance.
+    greatest noise scale of each pass (P,); distance in the air of each pass (P,) [m]; fits of
+    vehicles, with the numbers of their passes; fit in the present window that is not believed, and
+    the noise scale that such fits left; greatest share of the vehicle in the variance of the
+    heights; relative error of the speed of a single drive in each window, with its variance.
     """
 
     settings: SolverSettings
@@ -84,7 +71,6 @@ class RoadSolver:
         self.noise_scale, self.in_air = np.ones(len(self.drives)), np.zeros(len(self.drives))
 
     def fit_of(self, number: int) -> CarFit | None:
-        """Return the fit of the vehicle of this pass."""
         return next((fit for fit, members in self.fits if number in members), None)
 
     def doubt(self, fit: CarFit) -> None:
@@ -107,11 +93,9 @@ class RoadSolver:
         settings, start, self.doubted = self.settings, self.start, None
         # vehicles that were fitted in a window are those of the whole drives
         fits = [self.fit_of(number) for number in members]
-        passes = tuple(
-            replace(one, model=one.with_car(fit.car).model) if fit else one
-            for one, fit in zip(objective.passes, fits, strict=True)
-        )
-        objective = replace(objective, passes=passes)
+        pairs = zip(objective.passes, fits, strict=True)
+        passes = (replace(one, model=one.with_car(x.car).model) if x else one for one, x in pairs)
+        objective = replace(objective, passes=tuple(passes))
         solver = GaussNewton(
             settings.huber, adapt_prior=settings.adapt_prior, prior_updates=settings.prior_updates
         )
@@ -132,9 +116,7 @@ class RoadSolver:
         return posterior
 
     def _with_vehicle(self, solution: MapSolution, solver: GaussNewton) -> RoadPosterior:
-        """Return the posterior of a single drive with errors of its vehicle, which is fitted to the
-        drive if they show.
-        """
+        """The posterior of a single drive and its vehicle, which is fitted if its errors show."""
         drive, fit, uncertain = self.drives[0], self.fit_of(0), self.uncertainty
         sensors = tuple(drive.model.locations)
         if drive.model.speed_std > 0.0:
@@ -148,32 +130,27 @@ class RoadSolver:
         if is_seen and posterior.vehicle_share > TUNING.vehicle_share_due:
             with suppress(ArithmeticError):  # a varied vehicle's motion was not finite
                 fit = self.doubted or adapt_car([solution], drive.car, solver)
+                (fitted,) = fit.solutions
                 if noise_left(fit.solutions) >= TUNING.structure_power:
                     self.doubt(fit)
-                elif _explains_more(fit.solutions[0], solution):
+                elif _explains_more(fitted, solution):
                     self.fits = [(fit, [0])]
                     uncertain = VehicleUncertainty.of_tolerances(fit.car, sensors)
                     uncertain = replace(uncertain, is_prior=False, inflation=TUNING.fit_inflation)
-                    posterior = posterior_mean_and_std(
-                        fit.solutions[0], self.band, self.draws, uncertain
-                    )
+                    posterior = posterior_mean_and_std(fitted, self.band, self.draws, uncertain)
         self.vehicle_share = max(self.vehicle_share, posterior.vehicle_share)
         return posterior
 
     def _adapt(self, members: list[int], solution: MapSolution, solver: GaussNewton) -> MapSolution:
-        """Return the solution with each vehicle fitted to all its passes, where that is due."""
         cars = [self.drives[number].car for number in members]
-        for first, car in enumerate(cars):
-            if car in cars[:first]:
-                continue
+        described = [car for k, car in enumerate(cars) if car not in cars[:k]]
+        for car in described:
             same = [k for k, other in enumerate(cars) if other == car]
             own = [solution.of_pass(k) for k in same]
             fit = fit_if_due(own, car, solver)
-            if fit is None:
-                continue
-            if is_believed(fit, own):
+            if fit and is_believed(fit, own):
                 self.fits.append((fit, [members[k] for k in same]))
-            else:
+            elif fit:
                 self.doubt(fit)
         if not self.fits:
             return solution
@@ -187,9 +164,8 @@ class RoadSolver:
 
 
 def _explains_more(fitted: MapSolution, described: MapSolution) -> bool:
-    """Return whether a fitted vehicle leaves no more than the described one, or than the noise.
-
-    Noise scales do not tell, as they never rise in a minimization.
+    """Return whether a fitted vehicle leaves no more than the described one, or than the noise. The
+    noise scales do not tell, as they never rise in a minimization.
     """
     left = [misfit_power(one.linearization).max() for one in (fitted, described)]
     return bool(left[0] <= max(1.0, left[1]))
@@ -198,8 +174,8 @@ def _explains_more(fitted: MapSolution, described: MapSolution) -> bool:
 def _estimate_speed_error(solution: MapSolution) -> tuple[float, float]:
     """The relative error of the speed of a single pass, an unknown, and its variance."""
     (one,) = solution.linearization.passes
-    size = solution.linearization.x.size
-    unit = (np.arange(size) == size - 1).astype(float)
+    unit = np.zeros(solution.linearization.x.size)
+    unit[-1] = 1.0
     column = solution.inverse_hessian(*TUNING.speed_cg)(unit)
     variance = one.source.model.speed_std**2 * float(column[-1])
     return one.source.speed_error(one.own), variance
@@ -209,8 +185,7 @@ def distance_scale(
     errors: Sequence[tuple[float, float]], model: MeasurementModel
 ) -> tuple[DistanceScale | None, tuple[str, ...]]:
     """Return the scale of the odometer by the `errors` of the speed in the windows of a drive, with
-    their variances: None if they tell hardly more than the speed itself, or doubt it; then with a
-    note.
+    their variances: None if they tell hardly more than the speed itself, or, with a note, doubt it.
     """
     if not errors:
         return None, ()

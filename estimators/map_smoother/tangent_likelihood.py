@@ -51,14 +51,10 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 
 def tangent_terms(
-    solution: MapSolution,
-    cars: Sequence[VehicleParameters],
-    known: LikelihoodTerms | None = None,
+    solution: MapSolution, cars: Sequence[VehicleParameters], known: LikelihoodTerms | None = None
 ) -> LikelihoodTerms:
-    """Return the terms of a drive over an unmeasured road; `cars` as of `perturbed_cars`.
-
-    With those of a vehicle nearby that are `known`, only gradient and optimum are computed.
-    Raises ArithmeticError if a motion is not finite.
+    """Return the terms of a drive over an unmeasured road; `cars` as of `perturbed_cars`. If terms
+    of a vehicle nearby are `known`, gradient and optimum are new. Raises ArithmeticError.
     """
     lin, solve = solution.linearization, solution.inverse_hessian(*TUNING.tangent_cg)
     (one,) = lin.passes
@@ -87,14 +83,8 @@ def _second_order_terms(
     log_det_gradient = at_road.mean(axis=0) - np.einsum("psj,sj->p", weighted, moved)
     weighted = np.array([one.apply_inverse_covariance(g) for g in left])
     information = np.einsum("psj,qsj->pq", left, weighted) + F @ F.T
-    return LikelihoodTerms(
-        gradient=-log_det_gradient,
-        information=information,
-        score_covariance=information + np.cov(at_road.T - F @ along.T) / len(samples),
-        log_det_gradient=log_det_gradient,
-        to_optimum=np.zeros_like(lin.x),
-        by_parameter=-F,
-    )
+    score = information + np.cov(at_road.T - F @ along.T) / len(samples)
+    return LikelihoodTerms(-log_det_gradient, information, score, log_det_gradient, by_parameter=-F)
 
 
 def _trace_sample(
@@ -112,20 +102,17 @@ def _trace_sample(
 
 
 def _posterior_noise(lin: Linearization) -> Iterator[np.ndarray]:
-    """Yield samples J' R^-1/2 e_1 + e_2 (n,), of covariance A; A^-1 times one is a sample w.
-
-    The rows of e_1 (S, J) and e_2 (2, K) are white, with flat spectra of random phases that are
-    turned against each other from sample to sample. Of a stationary vehicle, few samples would then
-    give the mean of a quadratic form without error.
+    """Yield samples J' R^-1/2 e_1 + e_2 (n,), of covariance A; A^-1 times one is a sample w. The
+    rows of e_1 (S, J) and e_2 (2, K) are white, with flat spectra of random phases that are turned
+    against each other from sample to sample. Of a stationary vehicle, few samples would then give
+    the mean of a quadratic form without error.
     """
     rng = np.random.default_rng(0)
     (one,), u = lin.passes, lin.objective.split(lin.x)[0]
     shapes = one.residual.shape, u.shape
     phases = [rng.uniform(0.0, 2.0 * np.pi, (rows, size // 2 + 1)) for rows, size in shapes]
-    turns = np.split(
-        2.0 * np.pi / TUNING.trace_draws * np.arange(sum(rows for rows, _ in shapes)),
-        [len(one.residual)],
-    )
+    rows = np.arange(sum(rows for rows, _ in shapes))
+    turns = np.split(2.0 * np.pi / TUNING.trace_draws * rows, [len(one.residual)])
     for k in range(TUNING.trace_draws):
         e_1, e_2 = (
             _flat_noise(phase + k * turn[:, None], size)

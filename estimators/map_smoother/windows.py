@@ -30,15 +30,12 @@ Window = tuple[int, int, int]
 
 @dataclass(frozen=True, eq=False)
 class PreparedDrive:
-    """A drive of the vehicle `car`, prepared for estimation.
-
-    - `model` of vehicle and instruments, and model `inputs`.
-    - Samples `a` (S, T) [m/s²], of which `valid` (S, T) are used, and `censored` (S, T) as in
-      `block_means`, in blocks of `block_size`.
-    - Where the next window begins, `vehicle_state` (14,) with the prior standard deviation
-      `initial_std` (14,) about it, `strut_state` (4, 3), and `filter_state` (n, S, 2) of the
-      anti-alias filter, empty if it only delays.
-    - `nodes` of the road, and the stations `free_span` [m] between which it may rise or fall.
+    """A drive of the vehicle `car`, prepared for estimation: `model` of vehicle and instruments,
+    and its `inputs`; samples `a` (S, T) [m/s²], of which `valid` (S, T) are used, and `censored` as
+    in `block_means`, in blocks of `block_size`. Where the next window begins, `vehicle_state` (14,)
+    with the prior standard deviation `initial_std` (14,) about it, `strut_state` (4, 3), and
+    `filter_state` (n, S, 2) of the anti-alias filter, empty if it only delays. `nodes` of the road,
+    and the stations `free_span` [m] between which it may rise or fall.
     """
 
     car: VehicleParameters
@@ -63,7 +60,6 @@ class PreparedDrive:
 
     @property
     def steps_per_block(self) -> int:
-        """Steps in a block."""
         return self.block_size * self.inputs.decimation
 
     @property
@@ -77,7 +73,7 @@ class PreparedDrive:
         return self.inputs.s[:: 2 * self.steps_per_block][: self.blocks]
 
     def node_at(self, s: float) -> int:
-        """Return the node at the station `s` [m] or just before it."""
+        """The node at the station `s` [m] or just before it."""
         return int((s - self.nodes.origin) / self.nodes.ds)
 
     def nodes_under(self, begin: int, end: int) -> tuple[int, int]:
@@ -89,10 +85,10 @@ class PreparedDrive:
 
 @dataclass(frozen=True, eq=False)
 class RoadSoFar:
-    """Road of the windows so far: coefficients `c` (2, K) [m], final before the node
-    `first_free_node` and level from there on, the `std` (2, K) [m] of their error in the band, and
-    samples `deviations` (D, 2, K) [m] of it in all waves, none before the first window; the
-    `density` of the road over that of the prior at the frequencies `n` [cycles/m].
+    """Road of the windows so far, at K nodes: coefficients `c` (2, K) [m], final before the node
+    `first_free_node` and level from there on; standard deviation `std` (2, K) [m] of their error in
+    the band; samples `deviations` (D, 2, K) [m] of the error in all waves; `density` of the road
+    over that of the prior at the frequencies `n` [cycles/m].
     """
 
     c: np.ndarray
@@ -104,16 +100,14 @@ class RoadSoFar:
 
     @classmethod
     def level(cls, size: int) -> "RoadSoFar":
-        """Return that before the first window."""
+        """A level road of `size` nodes, without samples: the road before the first window."""
         nothing = np.zeros((2, size))
         return cls(nothing, nothing, np.zeros((0, 2, size)), 0, np.array([0.0, 1.0]), np.ones(2))
 
     def at_stations(
         self, nodes: RoadNodes, s: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return heights and standard deviations (2, M) [m] at the stations `s` (M,) [m], and
-        samples (D, 2, M) [m] of the road.
-        """
+        """Heights, deviations (2, M) and samples (D, 2, M) [m] of the road at stations `s` (M,)."""
         x = np.clip((s - nodes.origin) / nodes.ds, 1.0, nodes.size - 3.0)
         std = np.array([np.interp(x, np.arange(nodes.size), path) for path in self.std])
         draws = np.empty((len(self.deviations), 2, s.size), dtype=np.float32)
@@ -141,10 +135,8 @@ def on_common_nodes(drives: Sequence[PreparedDrive]) -> list[PreparedDrive]:
 def common_windows(
     drives: Sequence[PreparedDrive], window: float, overlap: float
 ) -> list[tuple[Window, ...]]:
-    """Return the windows of each drive.
-
-    Those of the drive that takes longest are even, of `window` and `overlap` [s]; the windows of
-    the others begin and end at the same stations.
+    """Return the windows of each drive: of the one that takes longest even ones, of `window` and
+    `overlap` [s], and of the others those that begin and end at the same stations.
     """
     longest = max(drives, key=lambda one: one.blocks * one.block_size)
     starts, blocks = longest.block_stations, longest.blocks
@@ -174,10 +166,7 @@ def reconstruct(
     windows: Sequence[tuple[Window, ...]],
     solve: Callable[[Objective, list[int]], RoadPosterior],
 ) -> RoadSoFar:
-    """Estimate all windows and return the road.
-
-    `solve` gets the objective of a window and the numbers of its passes.
-    """
+    """Return the road of all windows; `solve` gets each objective and the numbers of its passes."""
     drives = list(drives)
     road = RoadSoFar.level(drives[0].nodes.size)
     for spans in windows:
@@ -210,14 +199,11 @@ def reconstruct(
     return road
 
 
-def _extended(
-    so_far: RoadSoFar, posterior: RoadPosterior, nodes: RoadNodes, last: int
-) -> RoadSoFar:
-    """Return the road after another window, final before the node `last`."""
+def _extended(so_far: RoadSoFar, posterior: RoadPosterior, grid: RoadNodes, last: int) -> RoadSoFar:
     lin = posterior.solution.linearization
     road, c = lin.objective.road, lin.objective.coefficients(lin.x)
-    low = round((road.origin - nodes.origin) / nodes.ds)
-    first, last = max(so_far.first_free_node, low), min(last, low + road.size, nodes.size)
+    low = round((road.origin - grid.origin) / grid.ds)
+    first, last = max(so_far.first_free_node, low), min(last, low + road.size, grid.size)
     here = slice(first - low, last - low)
 
     def joined(before: np.ndarray, now: np.ndarray) -> np.ndarray:
@@ -228,7 +214,7 @@ def _extended(
 
     # a sample goes on at the height at which it ended
     count = len(posterior.deviations)
-    before = so_far.deviations if len(so_far.deviations) else np.zeros((count, 2, nodes.size))
+    before = so_far.deviations if len(so_far.deviations) else np.zeros((count, 2, grid.size))
     end = before[..., max(first - 1, 0), None]
     deviations = joined(before, end + posterior.deviations)
     density = road.density * np.mean(road.local[:, road.free > 0] ** 2)
@@ -239,9 +225,6 @@ def _extended(
 def _window_objective(
     parts: Sequence[tuple[PreparedDrive, int, int]], prior: RoadPrior, so_far: RoadSoFar
 ) -> Objective:
-    """Return the objective of drives on common nodes, each with its blocks `begin` to `end`
-    (excluded).
-    """
     reach = [drive.nodes_under(begin, end) for drive, begin, end in parts]
     low = min(first for first, _ in reach) - TUNING.node_margin
     last = max(last for _, last in reach) + TUNING.node_margin
@@ -256,7 +239,8 @@ def _window_objective(
     amplitude = increment_amplitude(prior, size, ds, flat_below=TUNING.n_flat)
     density = np.interp(rfftfreq(size, ds), so_far.n, so_far.density)
     road = RoadTransform(origin, ds, c, free, amplitude, density, np.ones_like(c))
-    passes = tuple(_window_pass(*part, road.nodes) for part in parts)
+    nodes = RoadNodes(origin, ds, size)
+    passes = tuple(_window_pass(*part, nodes) for part in parts)
     if len(parts) == 1:
         return Objective(road, passes)
     count = 1 + max(1, round(ds * size / TUNING.knot_spacing))
@@ -264,7 +248,6 @@ def _window_objective(
 
 
 def _window_pass(drive: PreparedDrive, begin: int, end: int, nodes: RoadNodes) -> Pass:
-    """Return the pass of blocks `begin` to `end` (excluded) on the nodes of the window."""
     inputs = drive.inputs.slice_steps(begin * drive.steps_per_block, end * drive.steps_per_block)
     samples = slice(begin * drive.block_size, end * drive.block_size)
     a, valid, censored = (x[:, samples] for x in (drive.a, drive.valid, drive.censored))

@@ -16,7 +16,7 @@ when the front axle is LAG ahead of the estimated station; its level is an expon
 mean with length _LEVEL_DECAY_LENGTH.
 """
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import signal
@@ -38,9 +38,8 @@ N_INPUTS, N_CONDITIONS = 10, 8 + N_RATIOS
 
 
 class NetworkInputs(NamedTuple):
-    """Inputs of a network: `x` (N_INPUTS, behind + M + ahead) and `conditions` (N_CONDITIONS, 1 or
-    as many); and what scales its output to heights: the `level` (M,) [m] and the `first` estimate
-    (2, M) [m] of m and q.
+    """Inputs `x` (N_INPUTS, behind + M + ahead), `conditions` (N_CONDITIONS, 1 or as many), and the
+    `level` (M,) and `first` estimate (2, M) [m] of m and q, which make heights of the output.
     """
 
     x: np.ndarray
@@ -49,29 +48,20 @@ class NetworkInputs(NamedTuple):
     first: np.ndarray
 
 
-class _ReceptiveField(Protocol):
-    """Number of stations that a network reads before and after its output."""
-
-    behind: int
-    ahead: int
-
-
 # Signs of the inputs of the mirrored drive
 MIRROR_SIGNS = np.array([1, 1, -1, 1, 1, -1, 1, -1, 1, -1], dtype=np.float32)[:, None]
 
 
 def network_inputs(
-    signals: SpatialSignals, bank: FirBank, wheelbase: float, field: _ReceptiveField, causal: bool
+    signals: SpatialSignals, bank: FirBank, wheelbase: float, network: Any, causal: bool
 ) -> NetworkInputs:
-    """Return the network inputs of a drive.
-
-    Rows of x: accelerations and velocities of front, rear and roll; m and q of the first estimate,
-    and the same a wheelbase behind. For a causal network the motions are those sensed
-    STATIONS_AHEAD beyond the estimated station; the first estimate is that of the station itself.
+    """Return the inputs of a `network` that reads so many stations `behind` and `ahead`. Rows of x:
+    accelerations and velocities of front, rear and roll; m and q of the first estimate, and the
+    same a wheelbase behind. For a causal network the motions are those sensed STATIONS_AHEAD beyond
+    the estimated station; the first estimate is that of the station itself.
     """
-    lookahead = STATIONS_AHEAD if causal else 0
-    behind, ahead = field.behind, field.ahead
-    rear = round(wheelbase / SPACING)
+    lookahead, rear = STATIONS_AHEAD if causal else 0, round(wheelbase / SPACING)
+    behind, ahead = network.behind, network.ahead
     extra = max(behind + lookahead + rear, ahead)
     first = bank(signals, extra)
     short_waves = keep_short_waves(first, causal)
@@ -83,30 +73,17 @@ def network_inputs(
     l = level[extra + at]
     # inputs of about unit scale at every speed and level
     scale = np.exp(0.7 * (u - np.log(5.0))) * 100.0 * l
-    x = np.concatenate(
-        [
-            signals.motions[:N_MOTIONS, sensed] / scale,
-            signals.motions[N_MOTIONS:, sensed] * (8.0 / scale),
-            short_waves[:, extra + at] / l,
-            short_waves[:, extra + at - rear] / l,
-        ]
-    )
-    states = signals.states[sensed].T
-    speed_term = (u - 2.0) / 0.8
-    conditions = np.array(
-        [
-            *(speed_term, speed_term**2 - 1),
-            *(2 * states - 1),
-            *(np.log(l) + 5.5, np.log(scale)),
-            *signals.spectrum[:, sensed],
-        ]
-    )
+    motions = signals.motions[:, sensed]
+    waves = short_waves[:, extra + at] / l, short_waves[:, extra + at - rear] / l
+    x = np.concatenate([motions[:N_MOTIONS] / scale, motions[N_MOTIONS:] * (8.0 / scale), *waves])
+    states, speed_term = signals.states[sensed].T, (u - 2.0) / 0.8
+    speed_terms, sizes = (speed_term, speed_term**2 - 1), (np.log(l) + 5.5, np.log(scale))
+    conditions = np.array([*speed_terms, *(2 * states - 1), *sizes, *signals.spectrum[:, sensed]])
     if np.ptp(conditions, axis=1).max() == 0.0:
         conditions = conditions[:, :1]
     inner = slice(extra, extra + M)
-    return NetworkInputs(
-        x.astype(np.float32), conditions.astype(np.float32), level[inner], first[:, inner]
-    )
+    arrays = x.astype(np.float32), conditions.astype(np.float32)
+    return NetworkInputs(*arrays, level[inner], first[:, inner])
 
 
 def _level(short_waves: np.ndarray, extra: int, causal: bool) -> np.ndarray:

@@ -25,9 +25,10 @@ pages of trainlm, initnw, mapminmax, dividerand, divideblock and mse.
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Self, get_args
 
 import numpy as np
+from numpy.random import Generator
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.blas import dsyrk
 
@@ -38,9 +39,8 @@ _MU_FLOOR = 1e-20  # lower limit of mu, so that a failing step needs few increas
 _ACTIVE_RANGE = 2.0  # active range of tanh, net inputs of -2 to 2, as MATLAB's tansig('active')
 
 _StopReason = Literal["epochs", "goal", "gradient", "mu", "validation"]
-_STOP_REASONS: tuple[_StopReason, ...] = ("epochs", "goal", "gradient", "mu", "validation")
+_STOP_REASONS: tuple[_StopReason, ...] = get_args(_StopReason)
 CURVES = ("train", "validation", "test", "mu", "gradient")
-# Shapes of the arrays of `LmResult.to_arrays`
 HISTORY_SHAPES: dict[str, tuple[int | None, ...]] = {"curves": (len(CURVES), None), "stop": (2,)}
 
 
@@ -57,11 +57,9 @@ class TwoLayerNetwork:
 
     def add_step(self, step: np.ndarray) -> "TwoLayerNetwork":
         """Return the network with a `step` (P,) added to its weights, hidden layer first."""
-        hidden, output = np.split(step, [self.hidden.size])
-        return TwoLayerNetwork(
-            self.hidden + hidden.reshape(self.hidden.shape),
-            self.output + output.reshape(self.output.shape),
-        )
+        parts, layers = np.split(step, [self.hidden.size]), (self.hidden, self.output)
+        moved = (x + part.reshape(x.shape) for x, part in zip(layers, parts, strict=True))
+        return TwoLayerNetwork(*moved)
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,7 @@ class Scaling:
     high: np.ndarray
 
     @classmethod
-    def fit(cls, x: np.ndarray) -> "Scaling":
+    def fit(cls, x: np.ndarray) -> Self:
         """Return the scaling that maps the range of each row of `x` (k, N) onto [-1, 1]."""
         return cls(x.min(axis=1), x.max(axis=1))
 
@@ -101,12 +99,9 @@ class Split(NamedTuple):
     test: np.ndarray
 
     @classmethod
-    def divide(
-        cls, size: int, method: Literal["random", "block"], rng: np.random.Generator
-    ) -> "Split":
-        """Split `size` samples into 70, 15 and 15 %, at random (`dividerand`) or in consecutive
-        blocks (`divideblock`). On a time series a random division leaks, since neighbours are
-        alike.
+    def divide(cls, size: int, method: Literal["random", "block"], rng: Generator) -> Self:
+        """Split `size` samples into 70, 15 and 15 %, at random (`dividerand`, which leaks on a time
+        series, since neighbours are alike) or in consecutive blocks (`divideblock`).
         """
         held_out = round(0.15 * size)
         train = size - 2 * held_out
@@ -130,10 +125,9 @@ class TrainlmOptions:
 
 @dataclass(frozen=True)
 class LmResult:
-    """A trained `network`, the stop reason, and the history: one value per epoch from 0.
-
-    `train`, `validation`, `test` are mean squared errors in mapped units, NaN for an empty set. An
-    epoch starts with `mu`; `gradient` is the norm of the training error's gradient.
+    """A trained `network`, the stop reason, and the history, one value per epoch from 0: mean
+    squared errors `train`, `validation`, `test` in mapped units, NaN for an empty set; `mu` with
+    which the epoch starts; norm `gradient` of the training error's gradient.
     """
 
     network: TwoLayerNetwork
@@ -147,41 +141,34 @@ class LmResult:
 
     @property
     def epochs(self) -> int:
-        """Number of steps taken."""
         return self.train.size - 1
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """Return all but the network: `curves` (5, epochs + 1) with -1 for NaN, and `stop`, the
-        index of the reason in _STOP_REASONS and the best epoch.
-        """
+        """`curves` (5, epochs + 1), -1 for NaN, and `stop`: index of the reason, best epoch."""
         curves = np.array([getattr(self, name) for name in CURVES])
         curves[np.isnan(curves)] = -1.0
-        return {
-            "curves": curves,
-            "stop": np.array([_STOP_REASONS.index(self.stop), self.best_epoch]),
-        }
+        stop = np.array([_STOP_REASONS.index(self.stop), self.best_epoch])
+        return {"curves": curves, "stop": stop}
 
     @classmethod
-    def from_arrays(
-        cls, network: TwoLayerNetwork, curves: np.ndarray, stop: np.ndarray
-    ) -> "LmResult":
+    def from_arrays(cls, network: TwoLayerNetwork, curves: np.ndarray, stop: np.ndarray) -> Self:
         """Return the result of this `network` and the arrays of `to_arrays`. Raises ValueError."""
         reason, best_epoch = (int(x) for x in stop)
         if not 0 <= reason < len(_STOP_REASONS):
             last = len(_STOP_REASONS) - 1
             raise ValueError(f"stop: the reason must be an index from 0 to {last}, got {reason}")
-        return cls(
-            network, _STOP_REASONS[reason], best_epoch, *np.where(curves < 0.0, np.nan, curves)
-        )
+        history = np.where(curves < 0.0, np.nan, curves)
+        return cls(network, _STOP_REASONS[reason], best_epoch, *history)
 
 
 class _Evaluation(NamedTuple):
     """A network at N samples: its `inputs` (R + 1, N) and hidden `units` (S + 1, N), each with ones
-    behind, and its errors `e` (K, N).
+    behind, the targets `t` (K, N) and its errors `e` (K, N).
     """
 
     network: TwoLayerNetwork
     inputs: np.ndarray
+    t: np.ndarray
     units: np.ndarray
     e: np.ndarray
 
@@ -191,13 +178,10 @@ class _Evaluation(NamedTuple):
         return float(np.vdot(self.e, self.e)) / self.e.size if self.e.size else float("nan")
 
 
-def nguyen_widrow(
-    inputs: int, hidden: int, outputs: int, rng: np.random.Generator
-) -> TwoLayerNetwork:
-    """Draw initial weights whose active regions cover inputs in [-1, 1], as `initnw`.
-
-    Each hidden neuron's weight vector has a random direction and the length 2 x 0.7 S^(1/R), where
-    the 2 extends Nguyen and Widrow's unit range to the active range of tanh; the biases are evenly
+def nguyen_widrow(inputs: int, hidden: int, outputs: int, rng: Generator) -> TwoLayerNetwork:
+    """Draw initial weights whose active regions cover inputs in [-1, 1], as `initnw`. Each hidden
+    neuron's weight vector has a random direction and the length 2 x 0.7 S^(1/R), where the 2
+    extends Nguyen and Widrow's unit range to the active range of tanh; the biases are evenly
     spaced. The output layer is uniform in [-1, 1], as a linear layer has no active region.
     """
     magnitude = _ACTIVE_RANGE * 0.7 * hidden ** (1.0 / inputs)
@@ -216,10 +200,9 @@ def train(
     split: Split,
     options: TrainlmOptions | None = None,
 ) -> LmResult:
-    """Train from `network` on mapped inputs `x` (R, N) and targets `t` (K, N).
-
-    Uses one thread: products of this size do not gain from more, slow down tenfold when another job
-    occupies the other core, and are summed in the same order on every machine.
+    """Train from `network` on mapped inputs `x` (R, N) and targets `t` (K, N), on one thread:
+    products of this size do not gain from more, slow down tenfold when another job occupies the
+    other core, and are summed in the same order on every machine.
     """
     options = options or TrainlmOptions()
     training, validation, test = ((_append_ones(x[:, part]), t[:, part]) for part in split)
@@ -243,30 +226,22 @@ def train(
         }
         stop = next((name for name, holds in reasons.items() if holds), None)
         if stop is None:
-            at, mu = _take_step(at, JJ, Je, training[1], mu, options)
+            at, mu = _take_step(at, JJ, Je, mu, options)
     return LmResult(best, stop, best_epoch, *np.array(history).T)
 
 
 def _take_step(
-    at: _Evaluation,
-    JJ: np.ndarray,
-    Je: np.ndarray,
-    t: np.ndarray,
-    mu: float,
-    options: TrainlmOptions,
+    at: _Evaluation, JJ: np.ndarray, Je: np.ndarray, mu: float, options: TrainlmOptions
 ) -> tuple[_Evaluation, float]:
-    """Return the network after the first step that lowers the error, and the next mu; the same
-    network if mu exceeds its limit first.
-    """
-    error = at.mse
+    """Return the network after the first step that lowers the error, or `at`, and the next mu."""
     while mu <= options.mu_max:
         damped = JJ.copy(order="F")  # as LAPACK takes it
         damped[np.diag_indices_from(damped)] += mu
         with suppress(np.linalg.LinAlgError):  # singular: a failed step
             factor = cho_factor(damped, lower=True, overwrite_a=True, check_finite=False)
             step = cho_solve(factor, Je, check_finite=False)
-            trial = _evaluate(at.network.add_step(step), at.inputs, t)
-            if trial.mse < error:
+            trial = _evaluate(at.network.add_step(step), at.inputs, at.t)
+            if trial.mse < at.mse:
                 return trial, max(mu * options.mu_decrease, _MU_FLOOR)
         mu *= options.mu_increase
     return at, mu
@@ -280,7 +255,7 @@ def _evaluate(network: TwoLayerNetwork, inputs: np.ndarray, t: np.ndarray) -> _E
     for part in _chunks(t.shape[1]):
         np.tanh(hidden.T @ inputs[:, part], out=units[:-1, part])
         np.subtract(t[:, part], output @ units[:, part], out=e[:, part])
-    return _Evaluation(network, inputs, units, e)
+    return _Evaluation(network, inputs, t, units, e)
 
 
 def _normal_equations(at: _Evaluation) -> tuple[np.ndarray, np.ndarray]:
@@ -315,10 +290,9 @@ def _normal_equations(at: _Evaluation) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _chunks(size: int) -> Iterator[slice]:
-    """Yield slices of at most CHUNK of `size` samples."""
     return (slice(start, start + CHUNK) for start in range(0, size, CHUNK))
 
 
 def _append_ones(x: np.ndarray) -> np.ndarray:
-    """Return `x` (R, N) with a row of ones, the input of the biases."""
+    """`x` (R, N) above a row of ones, the input of the biases."""
     return np.vstack([x, np.ones(x.shape[1])])

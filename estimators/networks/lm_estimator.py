@@ -33,7 +33,6 @@ class LmEstimator(Settings):
     """Name of the mapped range of the heights among the weights."""
 
     n_errors: ClassVar[int] = 0
-
     hidden: Annotated[Count, "", "hidden units"]
     max_epochs: Annotated[Count, "", "most epochs"]
     max_fail: Annotated[Count, "", "epochs without a smaller validation error"] = 6
@@ -42,7 +41,6 @@ class LmEstimator(Settings):
 
     @property
     def n_regressors(self) -> int:
-        """Number of inputs of the network."""
         return len(SENSORS)
 
     @property
@@ -83,7 +81,6 @@ class LmEstimator(Settings):
     def _train(
         self, x: np.ndarray, t: np.ndarray, division: Literal["random", "block"], seed: int
     ) -> lm.LmResult:
-        """Train on mapped inputs `x` (R, N) and targets `t` (2, N)."""
         if t.shape[1] > self.max_samples:
             spread = np.linspace(0, t.shape[1] - 1, self.max_samples).astype(int)
             x, t = x[:, spread], t[:, spread]
@@ -97,9 +94,7 @@ class LmEstimator(Settings):
     def _training_data(
         records: Sequence[Record], truths: Sequence[Profile]
     ) -> tuple[list[np.ndarray], list[np.ndarray], lm.Scaling, lm.Scaling]:
-        """Return accelerations (3, M) and true heights (2, M) of each drive at the profile
-        stations, and the scalings of both. Raises RecordError.
-        """
+        """Accelerations (3, M), heights (2, M) of drives, their scalings. Raises RecordError."""
         a = [spatial_accelerations(clean_record(record)[0]) for record in records]
         pairs = zip(records, truths, strict=True)
         z = [sample_profile(truth, profile_stations(record.length)) for record, truth in pairs]

@@ -2,14 +2,12 @@
 
 Inputs (B, N_INPUTS, behind + T + ahead) and conditions (B, N_CONDITIONS, 1 or as long) give outputs
 (B, 4, T): corrections of m and q, then the logarithms of their standard deviations. The latter do
-not influence the training of the corrections.
+not influence the training of the corrections. Attribute names are keys of the shipped weight files.
 
 Conditions act by FiLM: a layer's channels are scaled and shifted by a function of the conditions
 (Perez, Strub, de Vries, Dumoulin & Courville, AAAI 2018, arXiv:1709.07871). The convolutions are
 dilated and residual (Bai, Kolter & Koltun 2018, arXiv:1803.01271), without padding. The recurrent
 network is gated (Cho et al., EMNLP 2014, arXiv:1406.1078), bidirectional unless causal.
-
-Attribute names are keys of the shipped weight files.
 """
 
 from collections.abc import Sequence

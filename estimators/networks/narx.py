@@ -40,24 +40,20 @@ class Narx(LmEstimator):
 
     range_name: ClassVar[str] = "heights"
     n_errors: ClassVar[int] = 2
-
     hidden: Annotated[Count, "", "hidden units"] = 20
     max_epochs: Annotated[Count, "", "most epochs"] = 300
     delays: Annotated[Count, "", "past stations among the inputs"] = 2
 
     @property
     def n_regressors(self) -> int:
-        """Number of inputs of the network."""
         return len(SENSORS) * (self.delays + 1) + PATHS * self.delays
 
     def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
         """Train series-parallel; `seed` draws division and initial weights. Raises RecordError."""
         a, z, inputs, outputs = self._training_data(records, truths)
         drives = [(inputs.apply(x), outputs.apply(y)) for x, y in zip(a, z, strict=True)]
-        samples = [
-            _series_parallel(x[:, : _n_training(y)], y[:, : _n_training(y)], self.delays)
-            for x, y in drives
-        ]
+        parts = [(x[:, : _n_training(y)], y[:, : _n_training(y)]) for x, y in drives]
+        samples = [_series_parallel(*part, self.delays) for part in parts]
         x, t = (np.hstack(part) for part in zip(*samples, strict=True))
         training = self._train(x, t, "random", seed)
         errors = self._loop_errors(training.network, outputs, drives)
@@ -69,8 +65,8 @@ class Narx(LmEstimator):
         record, notes = clean_record(record)
         x = inputs.apply(spatial_accelerations(record))
         before = np.repeat(outputs.apply(np.zeros((PATHS, 1))), self.delays, axis=1)
-        hidden, output = training.network.hidden, training.network.output
-        z = outputs.reverse(_run_parallel(hidden, output, x, before))
+        layers = training.network.hidden, training.network.output
+        z = outputs.reverse(_run_parallel(*layers, x, before))
         loop_note = (
             f"relative error on held-out training roads {errors[1]:.2f} in closed loop, as here; "
             f"{errors[0]:.2f} with the true heights fed back, which is not attainable in use"
@@ -86,8 +82,8 @@ class Narx(LmEstimator):
             first = _n_training(y)
             begin = first - self.delays
             regressors, t = _series_parallel(x[:, begin:], y[:, begin:], self.delays)
-            hidden, output = network.hidden, network.output
-            closed = _run_parallel(hidden, output, x[:, first:], y[:, begin:first])
+            layers = network.hidden, network.output
+            closed = _run_parallel(*layers, x[:, first:], y[:, begin:first])
             truth = outputs.reverse(t)
             for k, z in enumerate((network(regressors), closed)):
                 wrong[k] += np.sum((outputs.reverse(z) - truth) ** 2)
@@ -108,9 +104,8 @@ def _series_parallel(x: np.ndarray, z: np.ndarray, delays: int) -> tuple[np.ndar
 
 @kernel
 def _run_parallel(hidden, output, x, before):
-    """Return the outputs (2, M) for mapped accelerations `x` (3, M), feeding back outputs.
-
-    `before` (2, delays): the initial heights; accelerations before the first equal the first.
+    """Return the outputs (2, M), which are fed back, for mapped accelerations `x` (3, M) and the
+    initial heights `before` (2, delays); accelerations before the first equal the first.
     """
     (paths, delays), sensors, units = before.shape, x.shape[0], hidden.shape[1]
     z = np.empty((paths, x.shape[1]))
@@ -136,5 +131,4 @@ def _run_parallel(hidden, output, x, before):
 
 
 def _n_training(z: np.ndarray) -> int:
-    """Return the number of stations of a drive used for training."""
     return z.shape[1] - int(_HELD_OUT_SHARE * z.shape[1])

@@ -3,8 +3,7 @@
 Each is one network for all speeds and modes. `tcn` is convolutional: five dilated layers span 9.7 m
 to either side offline and 19 m backwards in the causal variant, beyond the FIR windows. `gru` is a
 gated recurrent network, offline bidirectional; in training it warms up on the 9 m before a crop,
-offline also on the 9 m after it, and in use it runs over the whole drive. Network, inputs and
-training: `modules.py`, `inputs.py` and `trainer.py`.
+offline also on the 9 m after it, and in use it runs over the whole drive.
 
 `road-recon train NAME` produced the shipped weights from a corpus of simulated drives. `fit` trains
 from scratch on the given drives alone. An estimator with other settings than those of the shipped
@@ -34,12 +33,7 @@ from estimators.common.pretrained import (
     SpatialEstimator,
     TrainingExample,
 )
-from estimators.common.spatial_signals import (
-    SPACING,
-    SpatialSignals,
-    keep_short_waves,
-    wheel_paths,
-)
+from estimators.common.spatial_signals import SPACING, SpatialSignals, keep_short_waves, wheel_paths
 from estimators.linear.fir_bank import FirBank
 from estimators.networks import trainer
 from estimators.networks.inputs import MIRROR_SIGNS, NetworkInputs, network_inputs
@@ -49,18 +43,14 @@ from road_envs.core.config import Count
 from road_envs.vehicle.parameters import VehicleParameters
 
 _NETWORK_PREFIX = "network."  # prefix of the names of the network's weights
-# Accelerations in the window of a correction are divided by this many levels per s²
-_MOTION_UNIT = 500.0
-# Relative deviation from the trained wheelbase above which a note is added
-_WHEELBASE_TOLERANCE = 0.02
+_MOTION_UNIT = 500.0  # levels per s² by which accelerations in a correction's window are divided
+_WHEELBASE_TOLERANCE = 0.02  # relative deviation from the trained one above which a note is added
 _WARM_UP_STATIONS = 60  # stations of warm-up of `gru`
 _EDGE_LENGTH = 5.0  # length [m] of each end of a drive on which deviations are not calibrated
 
 
 class _FittedSequence(NamedTuple):
-    """FIR bank, network weights (float16), the factor `std_scale` on the network's standard
-    deviations, and the vehicle's `wheelbase` [m].
-    """
+    """FIR bank, weights (float16), factor on the standard deviations, and `wheelbase` [m]."""
 
     bank: FirBank
     network: dict[str, np.ndarray]
@@ -80,14 +70,11 @@ _Dilations = Annotated[tuple[Count, ...], Field(min_length=1), "stations", "of t
 
 @dataclass(frozen=True, kw_only=True)
 class _SequenceEstimator(SpatialEstimator):
-    """A sequence network behind an FIR bank."""
-
     refit_per_case: ClassVar[bool] = False
     lag: ClassVar[float | None] = None
     """Distance [m] from a station to the front axle when its height is known; None if offline."""
     libraries: ClassVar[tuple[str, ...]] = ("torch",)
     """What is slow to import."""
-
     shipped: bool = True
     steps: Annotated[Count, "", "training steps"] = 2500
     channels: Annotated[Count, "", "channels of each layer"] = 48
@@ -108,12 +95,11 @@ class _SequenceEstimator(SpatialEstimator):
         car: VehicleParameters,
         seed: int,
         progress: Callable[[str, float], None] = lambda text, share: None,
-        checkpoint: trainer.Checkpoint | None = None,
+        checkpoint: Any = None,
     ) -> Self:
-        """Return a copy trained on these drives; `seed` draws initial weights and batches.
-
-        The FIR bank is fitted to the rigid bodies among them. One that serves all is worse on
-        these by a fifth, and the network does not make up for it; it learns to correct the others.
+        """Return a copy trained on these drives; `seed` draws initial weights and batches. The FIR
+        bank is fitted to the rigid bodies among them. One that serves all is worse on these by a
+        fifth, and the network does not make up for it; it learns to correct the others.
         """
         torch = require_torch()
         progress("fitting the FIR bank", 0.0)
@@ -128,8 +114,8 @@ class _SequenceEstimator(SpatialEstimator):
         for drive in drives:
             inputs = network_inputs(drive.signals, bank, car.wheelbase, network, self.causal)
             residual = keep_short_waves(drive.target.astype(float) - inputs.first) / inputs.level
-            whole = residual.astype(np.float32), 0, residual.shape[1]
-            sequences.append(trainer.TrainingSequence(inputs, *whole))
+            size, residual = residual.shape[1], residual.astype(np.float32)
+            sequences.append(trainer.TrainingSequence(inputs, residual, 0, size))
         config = trainer.TrainerConfig(self.steps)
         _, parts = trainer.train_network(network, sequences, config, seed, progress, checkpoint)
         # calibrated as stored, in half precision
@@ -163,7 +149,7 @@ class _SequenceEstimator(SpatialEstimator):
         return copy_with(self, fitted_state=state._replace(std_scale=scale))
 
     def predictor(self, car: VehicleParameters) -> Predictor:
-        """Return what estimates a drive by bank and network. Raises NotFittedError."""
+        """Return the function that estimates a drive by bank and network. Raises NotFittedError."""
         (bank, _, scale, wheelbase), network = self._loaded()
         notes: tuple[str, ...] = ()
         if abs(car.wheelbase - wheelbase) > _WHEELBASE_TOLERANCE * wheelbase:
@@ -200,10 +186,8 @@ class _SequenceEstimator(SpatialEstimator):
         }
         torch = require_torch()
         with torch.device("meta"):  # shapes only: the settings of a file may ask for any size
-            own = {
-                _NETWORK_PREFIX + name: tuple(x.shape)
-                for name, x in self.network().state_dict().items()
-            }
+            layers = self.network().state_dict().items()
+            own = {_NETWORK_PREFIX + name: tuple(x.shape) for name, x in layers}
         taps, coefficients, wheelbase, *rest = validate_weights(weights, shapes | own)
         names = (name.removeprefix(_NETWORK_PREFIX) for name in own)
         network = {name: x.astype(np.float16) for name, x in zip(names, rest, strict=True)}
@@ -253,11 +237,9 @@ class Tcn(_SequenceEstimator):
 
     name: ClassVar[str] = "tcn"
     causal: ClassVar[bool] = False
-
     dilations: _Dilations = (1, 2, 4, 8, 16)
 
     def network(self) -> Any:
-        """Return the torch network with its initial weights."""
         from estimators.networks.modules import TemporalConvNet
 
         return TemporalConvNet(self.channels, self.kernel, self.dilations, self.causal)
@@ -278,12 +260,10 @@ class Gru(_SequenceEstimator):
 
     name: ClassVar[str] = "gru"
     causal: ClassVar[bool] = False
-
     steps: Annotated[Count, "", "training steps"] = 1200
     kernel: _KernelSize = 9
 
     def network(self) -> Any:
-        """Return the torch network with its initial weights."""
         from estimators.networks.modules import GatedRecurrentNet
 
         return GatedRecurrentNet(self.channels, self.kernel, _WARM_UP_STATIONS, self.causal)

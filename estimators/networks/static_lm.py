@@ -30,7 +30,6 @@ class StaticLm(LmEstimator):
     """The paper's static network. After fitting, `training` holds history and stop reason."""
 
     range_name: ClassVar[str] = "outputs"
-
     hidden: Annotated[Count, "", "hidden units"] = 50
     max_epochs: Annotated[Count, "", "most epochs"] = 1000
     division: Literal["random", "block"] = "random"

@@ -50,9 +50,7 @@ class StdScale(NamedTuple):
 
     @classmethod
     def fit(cls, ratios: Sequence[np.ndarray], conditions: Sequence[np.ndarray]) -> "StdScale":
-        """Fit to `ratios`, errors over standard deviations (2, M) of each drive, and its
-        `conditions` (8, M or 1).
-        """
+        """Fit to errors over standard deviations `ratios` (2, M), at `conditions` (8, M or 1)."""
         x = np.array([_design_matrix(each).mean(axis=1) for each in conditions])
         levels = (np.arange(_N_QUANTILES) + 0.5) / _N_QUANTILES
         quantiles = np.array([np.quantile(np.abs(each), levels) for each in ratios])
@@ -63,7 +61,7 @@ class StdScale(NamedTuple):
         ridge = _RIDGE * np.append(0.0, np.ones(N_TERMS - 1)) / len(x)
 
         def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
-            """Return the mean of both check functions, smoothed, and its gradient."""
+            """The mean of both check functions, smoothed, and its gradient."""
             excess = over - (x @ w)[:, None]
             value = share * excess + _SMOOTHING * np.logaddexp(0.0, -excess / _SMOOTHING)
             slope = expit(-excess / _SMOOTHING) - share

@@ -3,15 +3,14 @@
 The loss of a crop is the mean squared residual in units of the drive's level, clamped at _LOSS_MAX
 so that a hopeless drive cannot dominate a step. The standard deviations are trained by the Gaussian
 likelihood of these residuals. The learning rate rises over 100 steps and falls as a cosine. Every
-tenth drive is used for validation (with fewer than ten drives, the last fifth of each); the weights
-of the smallest validation error are kept.
-
-With one thread and one seed the result is reproducible to the bit, interrupted or not.
+tenth drive is used for validation (with fewer than ten, the last fifth of each); the weights of the
+smallest validation error are kept. With one thread and one seed the result is reproducible to the
+bit, interrupted or not.
 """
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -51,21 +50,11 @@ class TrainingSequence(NamedTuple):
 
 
 class TrainerConfig(NamedTuple):
-    """Hyperparameters of the training."""
-
     steps: int
     batch: int = 32
     crop_length: int = 160  # [stations]
     learning_rate: float = 3e-3
     weight_decay: float = 1e-3
-
-
-class Checkpoint(Protocol):
-    """Storage of an unfinished training."""
-
-    def load(self) -> Mapping[str, np.ndarray] | None: ...
-
-    def save(self, state: Mapping[str, np.ndarray]) -> None: ...
 
 
 def train_network(
@@ -74,16 +63,12 @@ def train_network(
     config: TrainerConfig,
     seed: int,
     progress: Callable[[str, float], None] = lambda text, share: None,
-    checkpoint: Checkpoint | None = None,
+    checkpoint: Any = None,
 ) -> tuple[float, list[TrainingSequence]]:
     """Train a torch `network` in place; return its validation error and the validation parts."""
-    torch = require_torch()
     training, validation = _split_validation(sequences)
     size = min(config.crop_length, *(part.stop - part.start for part in [*training, *validation]))
-    optimiser = torch.optim.AdamW(
-        network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
-    )
-    state = _TrainerState(network, optimiser)
+    state = _Training(network, config)
     begin = state.restore(checkpoint.load() if checkpoint else None)
     every = max(1, config.steps // _N_VALIDATIONS)
     with single_thread():
@@ -101,7 +86,7 @@ def train_network(
             if step < config.steps:
                 # a generator per step: a resumed training draws the same batches
                 rng = np.random.default_rng([seed, step])
-                _train_step(network, optimiser, training, config, size, rng, step)
+                state.take_step(training, size, rng, step)
     set_weights(network, state.best)
     return state.best_error, validation
 
@@ -109,7 +94,6 @@ def train_network(
 def _split_validation(
     sequences: Sequence[TrainingSequence],
 ) -> tuple[list[TrainingSequence], list[TrainingSequence]]:
-    """Return the training parts and the validation parts."""
     whole = list(sequences)
     if len(whole) >= _VALIDATION_INTERVAL:
         validation = whole[_VALIDATION_INTERVAL - 1 :: _VALIDATION_INTERVAL]
@@ -120,7 +104,6 @@ def _split_validation(
 
 
 def _validation_error(network: Any, parts: Sequence[TrainingSequence], size: int) -> float:
-    """Return the mean clamped loss over crops of `size` that cover the validation parts."""
     torch = require_torch()
     total, count = 0.0, 0
     with torch.no_grad():
@@ -134,27 +117,48 @@ def _validation_error(network: Any, parts: Sequence[TrainingSequence], size: int
 
 
 def _to_batch(crops: Sequence[tuple[np.ndarray, ...]]) -> tuple[Any, ...]:
-    """Return inputs, conditions and residuals of all `crops` as tensors."""
     torch = require_torch()
     return tuple(torch.from_numpy(np.stack(group)) for group in zip(*crops, strict=True))
 
 
-class _TrainerState:
+class _Training:
     """Network, optimiser and best weights so far, convertible to and from arrays."""
 
-    def __init__(self, network: Any, optimiser: Any):
-        self.network, self.optimiser = network, optimiser
+    def __init__(self, network: Any, config: TrainerConfig):
+        rates = {"lr": config.learning_rate, "weight_decay": config.weight_decay}
+        self.optimiser = require_torch().optim.AdamW(network.parameters(), **rates)
+        self.network, self.config = network, config
         self.best: dict[str, np.ndarray] = {}
         self.best_error, self.best_step = float("inf"), 0
 
+    def take_step(
+        self, training: Sequence[TrainingSequence], size: int, rng: np.random.Generator, step: int
+    ) -> None:
+        torch, config = require_torch(), self.config
+        crops = []
+        for k in rng.integers(len(training), size=config.batch):
+            part = training[k]
+            at = int(rng.integers(part.start, part.stop - size + 1))
+            crops.append(part.crop(at, size, self.network, bool(rng.integers(2))))
+        x, c, residual = _to_batch(crops)
+        output = self.network(x, c)
+        error, log_std = output[:, :2] - residual, output[:, 2:].clamp(*LOG_STD_RANGE)
+        likelihood = 0.5 * error.detach().square() * torch.exp(-2.0 * log_std) + log_std
+        squared_error = error.square().mean(dim=(1, 2)).clamp(max=_LOSS_MAX)
+        loss = squared_error.mean() + _LIKELIHOOD_WEIGHT * likelihood.mean()
+        for group in self.optimiser.param_groups:
+            group["lr"] = config.learning_rate * _learning_rate_factor(step, config.steps)
+        self.optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
+        self.optimiser.step()
+
     def to_arrays(self, step: int) -> dict[str, np.ndarray]:
-        """Return everything needed to continue at `step`."""
         arrays = {f"now.{k}": x for k, x in get_weights(self.network).items()}
         arrays |= {f"best.{k}": x for k, x in self.best.items()}
         for k, moments in self.optimiser.state_dict()["state"].items():
             arrays |= {f"moments.{k}.{name}": x.numpy().copy() for name, x in moments.items()}
-        progress = np.array([step, self.best_step, self.best_error])
-        return arrays | {"about": progress}
+        return arrays | {"about": np.array([step, self.best_step, self.best_error])}
 
     def restore(self, arrays: Mapping[str, np.ndarray] | None) -> int:
         """Load the result of `to_arrays`; return the step to continue with."""
@@ -176,12 +180,10 @@ class _TrainerState:
 
 
 def get_weights(network: Any) -> dict[str, np.ndarray]:
-    """Return copies of the weights of a torch network by name."""
     return {name: x.detach().numpy().copy() for name, x in network.state_dict().items()}
 
 
 def set_weights(network: Any, weights: Mapping[str, np.ndarray]) -> None:
-    """Load weights by name into a torch network."""
     torch = require_torch()
     network.load_state_dict(
         {name: torch.from_numpy(np.array(x, dtype=np.float32)) for name, x in weights.items()}
@@ -207,38 +209,7 @@ def single_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def _train_step(
-    network: Any,
-    optimiser: Any,
-    training: Sequence[TrainingSequence],
-    config: TrainerConfig,
-    size: int,
-    rng: np.random.Generator,
-    step: int,
-) -> None:
-    """Take one optimiser step on a batch of crops drawn by `rng`."""
-    torch = require_torch()
-    crops = []
-    for k in rng.integers(len(training), size=config.batch):
-        part = training[k]
-        at = int(rng.integers(part.start, part.stop - size + 1))
-        crops.append(part.crop(at, size, network, bool(rng.integers(2))))
-    x, c, residual = _to_batch(crops)
-    output = network(x, c)
-    error, log_std = output[:, :2] - residual, output[:, 2:].clamp(*LOG_STD_RANGE)
-    likelihood = 0.5 * error.detach().square() * torch.exp(-2.0 * log_std) + log_std
-    squared_error = error.square().mean(dim=(1, 2)).clamp(max=_LOSS_MAX)
-    loss = squared_error.mean() + _LIKELIHOOD_WEIGHT * likelihood.mean()
-    for group in optimiser.param_groups:
-        group["lr"] = config.learning_rate * _learning_rate_factor(step, config.steps)
-    optimiser.zero_grad()
-    loss.backward()
-    torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-    optimiser.step()
-
-
 def _learning_rate_factor(step: int, steps: int) -> float:
-    """Return the learning rate at a step over the highest."""
     cosine = 0.5 * (1.0 + np.cos(np.pi * step / steps))
     falling = _FINAL_RATE_SHARE + (1.0 - _FINAL_RATE_SHARE) * cosine
     return float(min(1.0, (step + 1) / _WARM_UP_STEPS) * falling)

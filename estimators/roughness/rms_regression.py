@@ -13,11 +13,10 @@ scale per input, e is noise (Rasmussen & Williams, "Gaussian Processes for Machi
 sections 2.2, 2.7 and 5.4.1). Amplitudes and length scales maximise the marginal likelihood. The
 posterior of y is normal, so classes have probabilities as in `spectral.py`.
 
-Errors beside those of `spectral`: `studies/roughness_alone.py`. Single obstacles mislead it more,
-and drives of the described vehicle alone would teach an interval that no other vehicle keeps to.
-
 Limitations: strut states and speeds outside the training data; roads of another waviness, since
-one RMS per sensor does not resolve frequency.
+one RMS per sensor does not resolve frequency; single obstacles, which mislead it more than
+`spectral` (`studies/roughness_alone.py`). Drives of the described vehicle alone would teach an
+interval that no other vehicle keeps to.
 """
 
 from collections.abc import Sequence
@@ -59,9 +58,8 @@ class RoughnessEstimate(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RmsRoughness:
-    """A fitted regression: standardised inputs `x` (N, N_INPUTS) and outputs `y` (N,), mean and
-    standard deviation of inputs and output (2, N_INPUTS + 1) before it, and `theta`, logarithms as
-    in _THETA_BOUNDS.
+    """A fitted regression: standardised inputs `x` (N, N_INPUTS) and outputs `y` (N,), their mean
+    and standard deviation (2, N_INPUTS + 1) before, and logarithms `theta` as in _THETA_BOUNDS.
     """
 
     x: np.ndarray
@@ -111,12 +109,10 @@ def roughness_level(truth: Profile, v: float) -> float:
     return float(np.exp(np.mean(np.log(np.maximum(levels.mean(axis=0), 1e-12)))))
 
 
-def _covariance(
-    x: np.ndarray, other: np.ndarray, theta: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _covariance(x: np.ndarray, at: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the covariances (N, M) of linear part and process for inputs (N, k), (M, k)."""
-    scaled_difference = (x[:, None] - other[None]) * np.exp(-theta[1:-1])
-    line = SLOPE_STD**2 * (1.0 + x @ other.T)
+    scaled_difference = (x[:, None] - at[None]) * np.exp(-theta[1:-1])
+    line = SLOPE_STD**2 * (1.0 + x @ at.T)
     return line, np.exp(2.0 * theta[0] - 0.5 * np.sum(scaled_difference**2, axis=2))
 
 
@@ -143,9 +139,7 @@ def _neg_log_marginal_likelihood(
 def _predict_gp(
     x: np.ndarray, y: np.ndarray, theta: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and standard deviation (M,), noise included, of the outputs at inputs `at` (M,
-    k). `y` (N,): the known outputs at `x` (N, k).
-    """
+    """Mean and standard deviation (M,), with noise, at `at` (M, k), by `y` (N,) at `x` (N, k)."""
     noise = np.exp(2.0 * theta[-1])
     K = np.add(*_covariance(x, x, theta)) + noise * np.eye(y.size)
     across, own = np.add(*_covariance(at, x, theta)), np.add(*_covariance(at, at, theta))

@@ -54,11 +54,9 @@ _EM_ITERATIONS = 8  # expectation-maximisation iterations of an octave's level
 
 
 class ClassPosterior(NamedTuple):
-    """Posterior of a road's roughness.
-
-    `G_d0` [m³] and the standard deviation `log_std` of its natural logarithm, over the scored band;
-    `octaves` (K,) [cycles/m] with their own `levels` (K,) [m³], `level_stds` (K,) and most probable
-    `octave_classes`; `probability` of each class by letter; `notes` on the vehicle.
+    """Roughness of a road: `G_d0` [m³] over the scored band and the standard deviation `log_std` of
+    its natural logarithm; `octaves` (K,) [cycles/m] with their `levels` (K,) [m³], `level_stds` and
+    most probable `octave_classes`; `probability` of each class by letter; `notes` on the vehicle.
     """
 
     G_d0: float
@@ -105,9 +103,7 @@ def classify_record(
 def _models_of_drive(
     record: Record, segments: Sequence[Segment], car: VehicleParameters, sensors: Instruments
 ) -> tuple[list[SpectralModel], float, tuple[str, ...]]:
-    """Return the models of the segments, of the vehicle adapted to the drive, the standard
-    deviation of log levels by what is wrong with them, and notes.
-    """
+    """Models of segments by the adapted vehicle, deviation of log levels by its errors, notes."""
     vehicle, middle = SensedVehicle.of(car, sensors), segments[len(segments) // 2]
     model, adapted = fit_hyperparameters(vehicle, middle), None
     unexplained, std, notes = float(np.mean(model.noise_scale)), _MODEL_ERROR, list[str]()
@@ -141,7 +137,7 @@ def class_probabilities(log_level: float, log_std: float) -> dict[str, float]:
     """Return the probability of each class for a normally distributed log level."""
     limits = np.log([2.0 * mean for mean in CLASSES.values()][:-1])
     below = np.concatenate([[0.0], ndtr((limits - log_level) / log_std), [1.0]])
-    return dict(zip(CLASSES, (float(p) for p in np.diff(below)), strict=True))
+    return dict(zip(CLASSES, np.diff(below).tolist(), strict=True))
 
 
 def scored_octaves(v: float) -> np.ndarray:
@@ -164,8 +160,7 @@ def _levels(
     """Return the levels (K,) [m³] of a segment's octaves and their independent lines (K,)."""
     lines, sensors = windowed_spectrum(model, segment), active_sensors(segment)
     noise = model.noise_psd()
-    levels = np.full(octaves.size, model.prior.G_d0)
-    counts = np.zeros(octaves.size)
+    levels, counts = np.full(octaves.size, model.prior.G_d0), np.zeros(octaves.size)
     span = segment.valid.any(axis=0).sum() * segment.spacing
     for k, centre in enumerate(octaves):
         inside = (model.n >= centre * 2.0**-0.5) & (model.n < centre * 2.0**0.5)
@@ -174,7 +169,6 @@ def _levels(
         n, y = model.n[inside], lines[inside][:, sensors]
         H, R = model.H[inside][:, sensors], noise[inside][:, sensors][:, :, sensors]
         unit = RoadPrior(G_d0=1.0, track=model.prior.track).spectrum(n)
-        known = 0.0
         for _ in range(_EM_ITERATIONS):
             road_posterior = posterior(n, H, unit * levels[k], R)
             z = road_posterior.gain @ y

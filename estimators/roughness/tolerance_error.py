@@ -22,7 +22,6 @@ from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import parameter_space
 
 _DRAWS = 24  # vehicles that are drawn
-_SIDE = "side."  # beginning of the names of parameters that play no part on a straight road
 
 
 def roughness_std(
@@ -35,7 +34,7 @@ def roughness_std(
     `car`; 0 where it has none, and of drives that are too short or never calm. `weight` gives the
     share of each spatial frequency (F,) [cycles/m] in the square of the index. Raises ConfigError.
     """
-    used = {key: x for key, x in car.tolerances.items() if not key.startswith(_SIDE)}
+    used = {k: x for k, x in car.tolerances.items() if not k.startswith("side.")}  # straight road
     drive = CalmDrive.of(record, car, instruments)
     if not used or not drive.tells(record):
         return 0.0

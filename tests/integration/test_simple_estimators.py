@@ -9,7 +9,7 @@ from test_estimator_contract import APRON, CAR, drive, error, fit
 
 from estimators import create
 from estimators.baselines.mean import _mean_profile
-from estimators.baselines.random_road import _draw_road, _fit_spectrum, _FittedRoad
+from estimators.baselines.random_road import _draw_road, _fit_spectrum
 from estimators.common.least_squares import LeastSquaresSums, cross_validate
 from estimators.common.spatial_signals import without_long_waves
 from estimators.linear import fir_ridge
@@ -69,7 +69,7 @@ def test_the_unrelated_road_has_level_and_waviness_of_the_training_roads(w):
 
 
 def test_the_unrelated_road_has_the_density_it_was_given():
-    z = np.concatenate([_draw_road(_FittedRoad(1024e-6, 2.0, seed), 20_000) for seed in range(8)])
+    z = np.concatenate([_draw_road((1024e-6, 2.0, seed), 20_000) for seed in range(8)])
     n, G = displacement_psd(z, PROFILE_SPACING)
     for low, high in ((0.05, 0.2), (0.2, 0.6), (0.6, 1.8)):
         inside = (n > low) & (n < high)
