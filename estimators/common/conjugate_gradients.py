@@ -1,8 +1,7 @@
 """Preconditioned conjugate gradients for truncated solves.
 
-SciPy's `cg` stops on the Euclidean norm of the residual and does not return the number of
-iterations. The solves here end early, by the norm of the preconditioner: it weighs well and badly
-scaled unknowns alike, and the result of an unfinished solve depends on where it ends.
+They end early, by the norm of the preconditioner, which weighs well and badly scaled unknowns
+alike. SciPy's `cg` has the Euclidean norm, and does not return the number of iterations.
 """
 
 from collections.abc import Callable

@@ -1,8 +1,4 @@
-"""Stretches of a road over which no sensor was read.
-
-A logger pauses, a phone that moved in its mount is turned upright in parts: what lies between is
-not known, however smooth an estimate is there.
-"""
+"""Stretches of a road over which no sensor was read: not known, however smooth an estimate is."""
 
 from dataclasses import replace
 
@@ -25,9 +21,7 @@ def read_share(at: np.ndarray, s: np.ndarray, read: np.ndarray, wheelbase: float
 
 
 def unread_stations(at: np.ndarray, record: Record, wheelbase: float = 0.0) -> np.ndarray:
-    """Return which stations `at` (M,) [m] both axles passed while no sensor was read; the front
-    axle alone without a `wheelbase` [m].
-    """
+    """Return which stations `at` (M,) [m] all axles, `wheelbase` [m] apart, passed unread."""
     steps = np.diff(record.t)
     interval = float(np.median(steps))
     lost = ~np.isfinite(record.a).any(axis=0)

@@ -37,9 +37,7 @@ from road_envs.records.record import DistanceScale, Estimate, Record, profile_st
 _LENGTHS = (0.5, 100.0)
 _MAX_SPEED_ERROR = 0.1  # greatest relative error of a speed signal that is believed
 _MIN_DISPLACEMENT = 0.005  # displacement [m] below which nothing is corrected
-# Least ratio of the displacement to what the fit leaves, root mean square, or to its standard
-# deviation
-_CLEARNESS = 10.0
+_CLEARNESS = 10.0  # least ratio of the displacement to the RMS that a fit leaves, or its deviation
 # Distance [m] before which fixes are not said to wander, online, and least rms [m] from there on
 _MIN_WANDER_LENGTH, _ONLINE_WANDER = 10.0, 0.02
 WANDER_NOTE = (
@@ -68,8 +66,7 @@ class Odometer(NamedTuple):
 
 
 def calibrate_odometer(record: Record, causal: bool = False) -> Odometer:
-    """Calibrate stations and speed by the whole record, of a `causal` estimate each sample by those
-    before it alone.
+    """Calibrate stations and speed by the whole record, if `causal` each sample by those before it.
 
     A record is returned itself if it is empty, its signals are not finite, their difference shows
     no clear displacement, or, if causal, it goes backwards.
@@ -88,7 +85,6 @@ def calibrate_odometer(record: Record, causal: bool = False) -> Odometer:
 
 
 def _calibrate(record: Record) -> Odometer:
-    """Calibrate by the whole record."""
     unchanged = Odometer(record)
     travelled = cumulative_trapezoid(record.v, record.t, initial=0.0)
     slip = travelled - (record.s - record.s[0])
@@ -194,9 +190,7 @@ def _calibrate_online(record: Record) -> Odometer:
 
 def to_true_distance(record: Record, estimate: Estimate) -> tuple[Record, Estimate]:
     """Return `record` and `estimate` with the stations and speed of the distance scale that the
-    estimate has found, and a note; as they are if it has found none.
-
-    The front axle is at the first sample where it was.
+    estimate has found, if any, from the first sample on, and a note.
     """
     if estimate.distance is None:
         return record, estimate

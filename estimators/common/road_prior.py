@@ -10,9 +10,7 @@ from scipy.fft import rfftfreq
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.roughness import root_coherence
 
-# Spatial frequency [cycles/m] below which the density of the increments is constant, for any
-# waviness
-N_MIN = 0.01
+N_MIN = 0.01  # [cycles/m] below which the density of the increments is constant, for any waviness
 
 
 def increment_amplitude(

@@ -3,7 +3,7 @@
     z(s) = sum_k c_k B((s - s_0) / ds - k)          B: the uniform cubic B-spline, of width 4
 
 The coefficients `c` (2, K) belong to even nodes; slope and curvature are continuous. Stations are
-given as node numbers x = (s - s_0) / ds, from the second node to the last but two.
+node numbers x = (s - s_0) / ds, from the second node to the last but two.
 """
 
 import numpy as np

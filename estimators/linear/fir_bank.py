@@ -24,6 +24,7 @@ from scipy.linalg import solveh_banded
 from estimators.common.blas import single_blas_thread
 from estimators.common.pretrained import SPEED_RANGE
 from estimators.common.spatial_signals import (
+    LEVEL_MIN,
     N_MOTIONS,
     SpatialSignals,
     keep_short_waves,
@@ -36,7 +37,6 @@ KNOTS = np.geomspace(*SPEED_RANGE, 9)
 _N_STATE_COMBINATIONS = 16
 RIDGE = 1e-4
 SMOOTHNESS = 1e-4
-_LEVEL_MIN = 3e-4  # added to a drive's level [m], so that noise on a smooth road does not dominate
 _MM = 1e-3  # unit of the heights [m]: taps are stored as float16 for heights in mm
 
 
@@ -74,7 +74,7 @@ class FirBank(NamedTuple):
                 signals = all_signals[i]
                 front, rear, roll = motion_windows(signals, behind, ahead)
                 z = keep_short_waves(targets[i])
-                scale = 1.0 / (_LEVEL_MIN + np.sqrt(np.mean(z**2)))
+                scale = 1.0 / (LEVEL_MIN + np.sqrt(np.mean(z**2)))
                 centre_line = np.concatenate([front, rear], axis=1)
                 for part, X, target in zip(sums, (centre_line, roll), z, strict=True):
                     part.add(scale * X, scale * target, signals.speed)
