@@ -88,7 +88,6 @@ class _KalmanSettings(CalibratedByIdentification):
     data_rate: Annotated[Positive, "Hz", "of the block means"] = 1000.0 / 3.0
     step: Annotated[Positive, "s", "longest step of the model"] = 0.001
     causal: ClassVar[bool]
-
     level_ends: bool = True
     std_factor: _StdFactor = 1.0
 
@@ -201,7 +200,6 @@ class Kalman(_KalmanSettings):
     """Extended Kalman filter that emits a station when the front axle is `lag` [m] past it."""
 
     causal: ClassVar[bool] = True
-
     lag: _Lag = 0.0
     std_factor: _StdFactor = 1.5
 
@@ -219,5 +217,4 @@ class KalmanRts(_KalmanSettings):
     """Extended Kalman filter and Rauch-Tung-Striebel smoother of the whole drive."""
 
     causal: ClassVar[bool] = False
-
     std_factor: _StdFactor = 0.85

@@ -39,8 +39,8 @@ _MAX_LIMIT, _MAX_NIS = TUNING.max_limit, TUNING.max_nis
 def filter_blocks(
     model: FilterModel, inputs: FilterInputs, local: LocalState, test: StepTest, first, last
 ):
-    """Filter the blocks from `first` on, to `last` (excluded) or until a step of the road is
-    likely. Return the block behind the last one, and whether one is likely.
+    """Filter the blocks from `first` to `last` (excluded), or until a step of the road is likely.
+    Return the block behind the last one, and whether one is likely.
     """
     size, n_vehicle = local.x.size, model.force_effect.shape[1] - 3
     factors, end_state = np.empty((3 + n_vehicle, size)), np.empty(n_vehicle)
@@ -66,10 +66,8 @@ def _normal_hazard(x):
 def _update_block(
     model: FilterModel, inputs: FilterInputs, local: LocalState, block: LinearizedBlock, j, i
 ):
-    """Update by the measurements of the block `j`, the window's `i`-th, and predict to its end.
-
-    The vehicle is propagated by simulation from the mean before the update, and by the transition
-    matrix for the correction of the update.
+    """Update by the block `j`, the window's `i`-th, and predict to its end: the vehicle by
+    simulation from the mean before the update, its correction by the transition matrix.
     """
     size, n_vehicle, x, rows = local.x.size, block.end_state.size, local.x, local.rows
     moved = np.dot(block.factors, rows)
@@ -118,10 +116,9 @@ def _whiten(
     """Return the matrix T (3, 3) that whitens the measurements and the whitened innovation (3,),
     and adapt the noise scale. `covariance` (3, 3) or larger: of the means without their noise.
 
-    The measurements are processed one after the other. Each is decorrelated from those before it
-    and scaled to unit variance: a Cholesky factorization of the innovation covariance, row by row.
-    A censored one has the mean and the variance of a truncated normal distribution, as a
-    measurement by which the update has both (Tobit filter). A lost one has a row of zeros.
+    Each measurement is decorrelated from those before it and scaled to unit variance: a Cholesky
+    factorization, row by row. A censored one has the mean and the variance of a truncated normal
+    distribution, as if the update had both (Tobit filter), a lost one a row of zeros.
     """
     y, count, censored = inputs.y[:, j], inputs.sample_count[:, j], inputs.censored[:, j]
     noise_scale, n_measured, power, cross = local.adaptive[NOISE_SCALE], 0, 0.0, np.empty(3)

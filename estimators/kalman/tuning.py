@@ -1,7 +1,6 @@
-"""Tuned constants of the Kalman filters.
+"""Tuned constants of the Kalman filters, set on simulated drives of the training vehicle.
 
-Unless a comment says otherwise they were set on simulated drives of the training vehicle, on roads
-of classes A to E, Belgian paving, bumps and potholes at 14.5 to 110 km/h.
+They were on classes A to E, Belgian paving, bumps and potholes at 14.5 to 110 km/h, if not said.
 """
 
 from dataclasses import dataclass
