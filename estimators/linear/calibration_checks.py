@@ -1,6 +1,7 @@
 """Checks that drives over known profiles determine the responses of a vehicle."""
 
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 
@@ -8,8 +9,7 @@ from estimators.api import CalibrationDrive, CalibrationError
 from estimators.linear.impulse_responses import F_BODY, RATE, IdentifiedResponses, RoadDrive
 from road_envs.records.record import F_C, Profile
 
-# Shortest distance [m] that is of use, of all drives in one state together: five of the longest
-# waves of the scored band
+# Shortest distance [m] of all drives in one state: five of the longest waves of the scored band
 _LENGTH_MIN = 25.0
 # Least number of independent frequencies in the road's acceleration, of each wheel path and of
 # their difference. A tenth of what 100 m of an ISO 8608 road have; a sine has one or two.
@@ -20,8 +20,7 @@ _EXPLAINED_MIN = 0.3
 # Gain of all wheels together on long waves: a vehicle moves as its road does, whatever it is.
 # Drives over 100 m to 1 km give 0.8 to 1.7; accelerations in g divide it by 10.
 _GAIN_RANGE = (0.3, 4.0)
-# Shifts [m] of the profile that are tried to say what is wrong with it
-_SEARCHED = np.arange(-10.0, 10.5, 0.5)
+_SEARCHED = np.arange(-10.0, 10.5, 0.5)  # shifts [m] of a profile tried to say what is wrong
 
 
 def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) -> None:
@@ -54,8 +53,8 @@ def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) 
 
 def _independent_frequencies(u: np.ndarray) -> float:
     """Return the number of independent frequencies of a road acceleration (N,) between F_BODY and
-    F_C: (sum of powers)² over the sum of their squares, of its spectral lines. The rate of the
-    height is taken, which is white on a road with a waviness of 2.
+    F_C: (sum of powers)² over the sum of their squares, of lines of the height's rate, which is
+    white on a road with a waviness of 2.
     """
     f = np.fft.rfftfreq(u.size, 1.0 / RATE)
     inside = (f > F_BODY) & (f < F_C)
@@ -87,8 +86,7 @@ def check_responses(
 
 def _reason(drive: CalibrationDrive, axles: np.ndarray) -> str:
     """Return what would make the profile fit, as the end of a sentence."""
-    profile = drive.profile
-    assert profile is not None
+    profile = cast(Profile, drive.profile)
     tried = {"the profile is reversed": Profile(profile.s, profile.z[::-1, ::-1])}
     for shift in _SEARCHED:
         name = f"the profile lies {shift:+.1f} m from where the drive says"
