@@ -212,7 +212,7 @@ class CalibratedFir(Settings):
             record = calibrate_odometer(clean_record(drive.record, None)[0]).record
             groups.setdefault(_state(record).tobytes(), []).append(replace(drive, record=record))
         for key, group in groups.items():
-            prior = kept[key].responses.taps if key in kept else ()
+            prior = kept[key].responses.taps if key in kept else np.zeros(0)
             is_alike = len(prior) == len(group[0].record.a)
             kept[key] = _identify_state(group, axles, prior if is_alike else None)
         return copy_with(self, fitted_state=_VehicleResponses(tuple(kept.values()), axles))

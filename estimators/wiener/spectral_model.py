@@ -3,11 +3,10 @@
     a = H z + H_F q + e     z wheel paths, q nonlinear residuals of the strut forces, e sensor noise
 
 Estimated per segment: the level G_d(n0) of the road prior, its shape (the deviation of each octave
-from a waviness of 2) and a noise scale per octave, by empirical Bayes with expectation
-maximisation (Dempster, Laird & Rubin, J. R. Stat. Soc. B 39, 1977), alternating with the equivalent
-dampers, which depend on the road. Noise and road are separable because three sensors observe two
-wheel paths: one combination of the sensors contains noise alone. A vehicle that differs from the
-model appears in this combination too and raises the noise scale.
+from a waviness of 2) and a noise scale per octave, by expectation maximisation (Dempster, Laird &
+Rubin, J. R. Stat. Soc. B 39, 1977), alternating with the equivalent dampers, which depend on the
+road. Noise and road are separable because three sensors observe two wheel paths: one combination
+contains noise alone, or a vehicle that differs from the model.
 """
 
 from dataclasses import dataclass, replace
@@ -39,9 +38,8 @@ from road_envs.vehicle.linear_model import (
 )
 from road_envs.vehicle.parameters import VehicleParameters
 
-# Band centres [Hz] of the noise scale, interpolated over log f
+# Band centres of the noise scale [Hz] and of the road's shape [cycles/m], interpolated over the log
 _NOISE_OCTAVES = np.array([0.7, 1.4, 2.8, 5.6, 11.0, 20.0])
-# Band centres [cycles/m] of the road's shape, interpolated over log n
 _ROAD_OCTAVES = 0.125 * 2.0 ** np.arange(6)
 
 
@@ -84,9 +82,7 @@ class SensedVehicle:
         return sensed * self.instruments.response(f)[:, None, None]
 
     def response(self, unbent: np.ndarray, f: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """Return the responses (F, S, 2) of the sensors to the wheel paths, from those of the
-        `points` to the road under the tyres.
-        """
+        """Return responses (F, S, 2) to the wheel paths, from those of the `points` under tyres."""
         return self.readings(unbent, f) * self.envelope(n)[:, None, None]
 
     def envelope(self, n: np.ndarray) -> np.ndarray:
@@ -150,11 +146,7 @@ def fit_hyperparameters(vehicle: SensedVehicle, segment: Segment) -> SpectralMod
 
 
 def _build_model(
-    vehicle: SensedVehicle,
-    segment: Segment,
-    prior: _ShapedRoadPrior,
-    size: int,
-    noise_scale: np.ndarray,
+    vehicle: SensedVehicle, segment: Segment, prior: _ShapedRoadPrior, size: int, scale: np.ndarray
 ) -> SpectralModel:
     """Return the model of a `segment` for this road `prior` on a circle of `size` stations."""
     v, plant = segment.v, vehicle.plant
@@ -186,7 +178,7 @@ def _build_model(
         model_error=0.0,
         prior=prior,
         S=prior.spectrum(n),
-        noise_scale=noise_scale,
+        noise_scale=scale,
     )
 
 
@@ -221,9 +213,8 @@ def active_sensors(segment: Segment) -> np.ndarray:
 def run_em(
     model: SpectralModel, lines: np.ndarray, sensors: np.ndarray, share: np.ndarray | None = None
 ) -> tuple[_ShapedRoadPrior, np.ndarray]:
-    """Return updated road prior and noise scale (F,), given `lines` (F, S, 1) of the `sensors`.
-
-    With fewer than three sensors the noise scale is kept: noise and road are not separable.
+    """Return updated road prior and noise scale (F,), given `lines` (F, S, 1) of the `sensors`; of
+    fewer than three the scale is kept, as noise and road are not separable.
     """
     in_band = (model.f > TUNING.f_low) & (model.f < F_C)
     n, y, H = model.n[in_band], lines[in_band][:, sensors], model.H[in_band][:, sensors]
@@ -277,9 +268,8 @@ def _circulant_product(spectrum: np.ndarray, x: np.ndarray, size: int) -> np.nda
 def solve_circulant(
     C: np.ndarray, y: np.ndarray, valid: np.ndarray, size: int, start: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return x (S, M), zero where not `valid`, with C x = y (S, M) where `valid`.
-
-    Conjugate gradients with FFT products; the preconditioner is C^-1 of the circle.
+    """Return x (S, M), zero where not `valid`, with C x = y (S, M) where `valid`, by conjugate
+    gradients with FFT products and the preconditioner C^-1 of the circle.
     """
     inverse = np.linalg.inv(C)
     x, _ = conjugate_gradients(
