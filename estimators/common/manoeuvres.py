@@ -3,10 +3,9 @@
 The models of the estimators drive straight ahead without pitching moments, so what a manoeuvre does
 to the struts is taken for road. Two signals show it: the measured speed, and the roll acceleration
 between two sensors of the body, left and right at one distance from the axles. Roads excite little
-roll between 0.2 and 0.9 Hz compared with that above, and, since their long waves are alike in both
-wheel paths, compared with heave; a turn that begins or ends rolls the body. Its steady part has no
-vertical acceleration: a beginning and an end close together are taken for one turn, and a turn that
-begins before the record is not seen.
+roll between 0.2 and 0.9 Hz, compared with that above and with heave; a turn that begins or ends
+rolls the body. Its steady part has no vertical acceleration: a beginning and an end close together
+are taken for one turn, and a turn that begins before the record is not seen.
 """
 
 from itertools import combinations

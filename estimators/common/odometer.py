@@ -16,9 +16,8 @@ is known so far: with x = (1 + e) d the integral of v, and w the difference of t
 
 is linear in e' / L' and 1 / L', whose least squares follow from running sums. Where the fixes
 wander by themselves, as those of a receiver do, the stations are those of the speed, shifted and
-scaled to the fixes (`position_noise.py`), or, while a drive is recorded, shifted alone. (The scale
-factor of an odometer is a state of every navigation filter: Groves, "Principles of GNSS, Inertial,
-and Multisensor Integrated Navigation Systems", 2013, section 16.3.)
+scaled to the fixes (`position_noise.py`), or, while a drive is recorded, shifted alone. (Groves,
+"Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems", 2013, section 16.3.)
 """
 
 from dataclasses import replace

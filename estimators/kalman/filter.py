@@ -1,12 +1,10 @@
 """Extended Kalman filter over a window of blocks of measurements: linearize, update, predict.
 
-The means of a block depend on the vehicle state at the block's start, the road nodes passed in it
-and the strut force residuals, which are independent from block to block. The update corrects all of
-them; the prediction then propagates the vehicle state to the block's end by the linearization of
-the same steps. Biases and road nodes are constant. Both axles measure the same road nodes: what a
-rear wheel measures corrects the node that the front wheel passed before. (Kailath, Sayed & Hassibi,
-"Linear Estimation", 2000, chapter 9; Jazwinski, "Stochastic Processes and Filtering Theory", 1970,
-section 8.3.)
+The means of a block depend on the vehicle state at its start, the road nodes passed in it and the
+strut force residuals, independent from block to block. The update corrects all of them; the
+prediction then propagates the vehicle state to the block's end by the linearization of the same
+steps. Biases and road nodes are constant. (Kailath, Sayed & Hassibi, "Linear Estimation", 2000,
+chapter 9; Jazwinski, "Stochastic Processes and Filtering Theory", 1970, section 8.3.)
 
 In a window of some blocks only the local state is filtered (`state.LocalState`), together with its
 closed-loop transition. The other nodes are corrected once, after the window (`forward.py`): the

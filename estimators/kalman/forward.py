@@ -7,13 +7,12 @@ W = U P[local], the rows of the local state's covariance,
 
     P' = P - W' W,     P'[vehicle] = Phi P[local],     x' = x + W' innovation
 
-A window is filtered in parts: one ends where stations are emitted, and where a step of the road is
+A window is filtered in parts, which end where stations are emitted or a step of the road is
 accepted. Beside P is a column for the direction of each candidate step (`jumps.py`), which moves as
-the error does. All nodes are held until the stations above them are emitted, so a height and its
-variance are read from x and P.
+the error does. Nodes are held until the stations above them are emitted, from x and P.
 
-A filter that is lost is begun anew (`_restart`), as if the record began there: its linearization is
-one about a motion that the vehicle does not have, and no later measurement leads back to it.
+A filter that is lost is begun anew (`_restart`), as if the record began there: linearized about a
+motion that the vehicle does not have, it is led back by no later measurement.
 """
 
 import numpy as np

@@ -13,8 +13,8 @@ doi:10.1109/TAC.1969.1099223), and the log likelihood ratio of a step to none is
 
     (v l² - log(jump_std² / v)) / 2
 
-The most likely candidate enters the state, as if its increment had had that variance from the
-beginning, and the others are conditioned on it, until none exceeds `min_log_ratio`.
+The most likely one enters the state, as if its increment had had that variance from the beginning,
+and the others are conditioned on it, until none exceeds `min_log_ratio`.
 """
 
 from dataclasses import dataclass

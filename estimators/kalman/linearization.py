@@ -1,9 +1,8 @@
 """Prediction of one block of measurements by the nonlinear vehicle, and its exact derivative.
 
-The vehicle is simulated through the block by the simulator's own step over the mean of the road
-nodes. `LinearizedBlock.factors` holds the two Jacobians of an extended Kalman filter, that of the
-measurement above that of the transition: every column is the exact tangent of these steps
-(`road_envs.simulation.sensitivity`).
+The vehicle is simulated by the simulator's own step over the mean of the road nodes. The columns of
+`LinearizedBlock.factors`, the Jacobian of the measurement above that of the transition, are exact
+tangents of these steps (`road_envs.simulation.sensitivity`).
 """
 
 from typing import NamedTuple

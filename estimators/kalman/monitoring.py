@@ -1,11 +1,10 @@
 """Consistency of the innovations along the road, and heights reduced by their own uncertainty.
 
 On the filter's own model the normalized innovation squared (NIS) is 1 in the mean. Where it is
-larger, on an obstacle that the prior did not expect or where wheels lift off, so is the error: the
-variance of a height is multiplied by the NIS of the metres in which both axles passed it (the Birge
-ratio; Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
-2001, section 5.4). A height is then multiplied by q / (q + variance), with q the mean square of the
-heights about it: what is no larger than its own error is emitted as a level road.
+larger, on unexpected obstacles or where wheels lift off, so is the error: the variance of a height
+is multiplied by the NIS of the metres in which both axles passed it (the Birge ratio; Bar-Shalom,
+Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 5.4). A
+height no larger than its own error is emitted as a level road (`reduce_uncertain`).
 """
 
 import numpy as np

@@ -1,10 +1,9 @@
 """Prior of the road ahead of the newest node, and online estimation of its roughness.
 
-Each new coefficient of the mean and of the half difference of the wheel paths follows an
-autoregressive model, by the Yule-Walker equations for the covariance of the prior's spectrum
-(`estimators.common.road_prior`). The mean is not stationary, so its increments are predicted. The
-half difference of an isotropic surface is level for waves longer than the track, so it is predicted
-itself.
+New coefficients of mean and half difference of the wheel paths follow autoregressive models, by the
+Yule-Walker equations for the prior's spectrum (`estimators.common.road_prior`). The mean is not
+stationary, so its increments are predicted; the half difference of an isotropic surface is level
+for waves longer than the track, so it is predicted itself.
 """
 
 from typing import NamedTuple

@@ -6,10 +6,9 @@ road they are the measurement model of a random walk over distance, and the most
 its standard deviation, follows from normal equations (`road_posterior.py`). The distance between
 the axles is the only number that must be known of the vehicle.
 
-Responses belong to the states of the struts in which they were identified. Those of several states
-are kept side by side, and a drive is estimated with those of the state that prevails in it. They
-hold for other speeds, since the delay between the axles is not part of them; friction does not, as
-its share depends on speed and roughness.
+Responses belong to the states of the struts in which they were identified; a drive is estimated
+with those of the state that prevails in it. They hold for other speeds, since the delay between the
+axles is not part of them; friction does not, as its share depends on speed and roughness.
 
 Standard deviations are those of the posterior, times a factor that makes half and nine tenths of
 the errors on the calibration drives lie within the Gaussian bounds; each fifth of a drive is

@@ -10,9 +10,9 @@ squares with the penalty
 
     mean square of the regressors x (ridge x sum(taps²) + smoothness x sum(difference of knots²))
 
-The smoothness term regularises knots with few drives. A high-pass suppresses errors below
-0.15 cycles/m: such waves are most of a road's height but lie outside the scored band. A combination
-without a drive takes the taps of the one that differs in the fewest states.
+The smoothness regularises knots with few drives. A high-pass suppresses errors below 0.15 cycles/m,
+most of a road's height but outside the scored band. A combination without a drive takes the taps of
+the one that differs in the fewest states.
 """
 
 from collections.abc import Sequence

@@ -9,10 +9,9 @@ dampers and masses, do not.
 
 The taps have a Gaussian prior with the covariance c lambda^max(i, i'), of smooth and decaying
 responses (the "TC kernel" of Chen, Ohlsson & Ljung, Automatica 48, 2012). Scale c, decay lambda and
-noise of each sensor are those of the largest marginal likelihood. The residual e holds friction and
-other nonlinearities beside the sensors' noise. It is modelled as autoregressive, equally for all
-sensors, with correlated innovations, and the taps are fitted again to signals whitened by this
-model.
+noise of each sensor are those of the largest marginal likelihood. The residual e, friction beside
+the sensors' noise, is modelled as autoregressive, equally for all sensors, with correlated
+innovations, and the taps are fitted again to signals whitened by this model.
 """
 
 from collections.abc import Sequence

@@ -2,17 +2,15 @@
 wheel.
 
 Three or more accelerometers on the body give heave, roll and pitch of a rigid body, hence the
-acceleration a above each strut. Each corner is treated as an independent quarter car and the
-forward problem is inverted (after Ngwangwa 2020, who inverts the solution of the vertical ride
-dynamics):
+acceleration a above each strut. Each corner is treated as an independent quarter car, which is
+inverted (after Ngwangwa 2020, who inverts the solution of the vertical ride dynamics):
 
     body      m_s a = -(k_s + c_s p) e                       e: extension of the strut
     strut     z_u   = a / p² - e                             z_u: height of the wheel
     wheel     (k_t + c_t p) (z_r - z_u) = m_u p² z_u + m_s a  z_r: height of the road
 
-with p = 2 pi j f. So z_r = R(p) a, exactly. Spring and tyre are linear about rest; c_s is the
-equivalent damper for the extension rate that this inversion finds in the record. The estimate is
-the mean of the heights under the front and rear wheel of a path.
+with p = 2 pi j f: z_r = R(p) a, exactly. Spring and tyre are linear about rest; c_s is equivalent
+for the extension rate found in the record. The estimate is the mean under both wheels of a path.
 
 R has a double pole at f = 0, where height is not observable: R / (1 + |R|² H_0²) is used instead,
 which is R above `f_low` (H_0 is |1 / R| there) and tends to zero below it. From 25 to 30 Hz the
@@ -31,10 +29,10 @@ rigid body's roll responds to the mean of front and rear, so the fraction cos²(
 the difference is recovered at the spatial frequency n.
 
 Limitations: errors of half the road's level and more on any vehicle, for that reason and others;
-the weights take a road of single obstacles for a smooth one with noise.
-The Defender's body has 0.72 of the pitch inertia and 1.31 of the roll inertia of uncoupled corners,
-and its struts stand further in than its wheels. The error in the scored band is 0.52 to 0.66 of the
-road's level for a linear Defender, and about the same with friction.
+the weights take a road of single obstacles for a smooth one with noise. The Defender's body has
+0.72 of the pitch inertia and 1.31 of the roll inertia of uncoupled corners, and its struts stand
+further in than its wheels. The error in the scored band is 0.52 to 0.66 of the road's level for a
+linear Defender, and about the same with friction.
 """
 
 from collections.abc import Mapping

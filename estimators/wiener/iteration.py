@@ -7,10 +7,9 @@ With C the covariance that the spectrum defines on a circle and M the selection 
 
 handles ends and gaps exactly (`spectral_model.solve_circulant`).
 
-Each further pass linearises about the estimate: z^ gives the motion of the struts and its
-uncertainty, hence the expected nonlinear force residual q and its variance. q is subtracted from
-the signals, part of its variance remains as noise, and the noise scale is fitted again. The passes
-may diverge where wheels leave the ground; a diverging pass is discarded.
+Each further pass linearises about z^: the motion of the struts and its uncertainty give the
+expected nonlinear force residual q, which is subtracted, and its variance, part of which remains as
+noise; the noise scale is fitted again. Passes that diverge, where wheels fly, are discarded.
 """
 
 from dataclasses import replace
