@@ -58,9 +58,7 @@ class SensedBending:
         return np.concatenate([means, force[None]])
 
     def response(self, unbent: np.ndarray, f: np.ndarray) -> np.ndarray:
-        """Return the responses (F, S, K) of the sensors at `f` (F,) [Hz], from those (F, S + 2, K)
-        of the same sensors and of BODY on a body that does not bend.
-        """
+        """Return responses (F, S, K) at `f` [Hz] from unbent ones, also of BODY, (F, S + 2, K)."""
         heave, behind = unbent[:, -2], unbent[:, -1]
         force = self.force[0] * heave + self.force[1] * (behind - heave)
         q = body_bending.response(self.mode, f)[:, None] * force

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Noise density [(m/s²)/sqrt(Hz)] below which the integration error of the model dominates
-MIN_NOISE_DENSITY = 1e-3
+MIN_NOISE_DENSITY = 1e-3  # [(m/s²)/sqrt(Hz)] below which the model's integration error dominates
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +46,7 @@ class BlockMeans:
         return (self.sample_weight * means[:, :, None]).reshape(means.shape[0], -1)
 
     def residual(self, predicted: np.ndarray) -> np.ndarray:
-        """Return means (S, J) of measured less `predicted` (S, J b) samples [m/s²]; a censored one
-        that is predicted beyond its limit has no residual.
-        """
+        """Return means (S, J) of measured less `predicted` (S, J b), 0 beyond a censored limit."""
         residual = self.y - self.average(predicted)
         if self.censored is not None and self.limit is not None:
             beyond = self.censored * (predicted - self.limit) > 0.0

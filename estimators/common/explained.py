@@ -35,8 +35,7 @@ _CHUNK_STEPS = 20_000  # steps that are simulated at a time
 # Explained share of the measured power from which on an estimate is left as it is. Linear
 # smoothers explain more than 0.8 on roads up to class D and on bumps, none where wheels fly.
 _TRUSTED_SHARE = 0.7
-# Time [s] that is not compared, two periods of the body's bounce: the simulation starts at rest
-_SETTLING_TIME = 2.0
+_SETTLING_TIME = 2.0  # [s] not compared, two periods of bounce: the simulation starts at rest
 _MAX_SPEED_STEP = 0.001  # longest step [s] of the simulation
 _IMPOSSIBLE_RATIO = 2.0
 """Accelerations that heights demand over those measured, as RMS, from which on they are impossible.
@@ -86,9 +85,7 @@ def _motions(
 def _by_station(
     motions: list[np.ndarray], finite: np.ndarray, record: Record, wheelbase: float, after: float
 ) -> np.ndarray:
-    """Return the powers (2, M) about stations of two `motions` (k, N) `after` a time [s]; that of
-    the second is infinite unless `finite` (N,).
-    """
+    """Return powers (2, M) about stations of two `motions` `after` [s], the second if `finite`."""
     power = np.array([(x**2).sum(axis=0) for x in motions])
     power[1, ~finite] = np.inf
     power = np.where(record.t < record.t[0] + after, 0.0, np.minimum(power, 1e12))

@@ -21,8 +21,7 @@ from road_envs.sensing.instruments import load_instruments
 _STANDING = 0.5  # speed [m/s] below which the vehicle stands
 _HARD_CHANGE = 1.5  # acceleration [m/s²], of either sign, from which on the body pitches markedly
 _SPEED_WINDOW = 0.5  # deviation [s] of the window that smooths the speed before its derivative
-# Bands [Hz] of the roll that manoeuvres excite, and of that which roads excite
-_ROLL_BAND, _ROAD_BAND = (0.2, 0.9), (1.5, 6.0)
+_ROLL_BAND, _ROAD_BAND = (0.2, 0.9), (1.5, 6.0)  # [Hz] of roll by manoeuvres, and by roads
 # Slow roll acceleration [rad/s²] below which nothing is taken for a turn, and above which it is the
 # road's. The start of a record with biased sensors gives up to 0.2, turns of 0.2 g in ride 0.5 and
 # more, a road that twists 6 to 13.
@@ -42,9 +41,7 @@ _LONGEST_TURN = 10.0  # longest time [s] between the slow rolls of one turn
 
 
 def mark_manoeuvres(estimate: Estimate, record: Record, wheelbase: float) -> Estimate:
-    """Return `estimate` as of `mark_unsure`, with a note on each stretch, if any is found;
-    `wheelbase` [m]: stations between both axles belong to a sample.
-    """
+    """Return `estimate` with stretches between both axles (`wheelbase` [m]) marked, with notes."""
     unsure, notes = np.zeros(estimate.s.size, dtype=bool), list[str]()
     kinds = {"turned": _turns, "braked or accelerated hard, or stood": _speed_changes}
     for what, find in kinds.items():

@@ -32,8 +32,7 @@ from estimators.common.position_noise import SPEED_STD, fit_wander, wanders
 from estimators.preprocessing import BACKWARD_MAX, JUMP_MAX
 from road_envs.records.record import DistanceScale, Estimate, Record, profile_stations
 
-# Least and greatest L [m] that is looked for; it must be passed within the record
-_LENGTHS = (0.5, 100.0)
+_LENGTHS = (0.5, 100.0)  # least and greatest L [m] looked for; it must be passed within the record
 _MAX_SPEED_ERROR = 0.1  # greatest relative error of a speed signal that is believed
 _MIN_DISPLACEMENT = 0.005  # displacement [m] below which nothing is corrected
 _CLEARNESS = 10.0  # least ratio of the displacement to the RMS that a fit leaves, or its deviation
@@ -103,11 +102,8 @@ def _calibrate(record: Record) -> Odometer:
             error = float(np.clip(shape @ slip / (shape @ shape), -0.5, 0.5))
         return error, error * held, slip - error * shape
 
-    found = minimize_scalar(
-        lambda x: float(np.sum(fit(x)[2] ** 2)),
-        bounds=(np.log(_LENGTHS[0]), np.log(most)),
-        method="bounded",
-    )
+    bounds = np.log(_LENGTHS[0]), np.log(most)
+    found = minimize_scalar(lambda x: np.sum(fit(x)[2] ** 2), bounds=bounds, method="bounded")
     error, displacement, left = fit(found.x)
     greatest = float(np.abs(displacement).max())
     forward = np.maximum.accumulate(record.s)
@@ -120,9 +116,8 @@ def _calibrate(record: Record) -> Odometer:
         s = record.s[0] + offset + (1.0 + excess) * travelled
         followed = replace(record, s=s, v=(1.0 + excess) * record.v)
         return Odometer(followed, (WANDER_NOTE.format(std),), std, excess_std)
-    if abs(error) > _MAX_SPEED_ERROR or greatest < _MIN_DISPLACEMENT:
-        return unchanged
-    if greatest < _CLEARNESS * float(np.sqrt(np.mean(left**2))):
+    least = max(_MIN_DISPLACEMENT, _CLEARNESS * float(np.sqrt(np.mean(left**2))))
+    if abs(error) > _MAX_SPEED_ERROR or greatest < least:
         return unchanged
     corrected = replace(record, s=record.s - displacement, v=record.v / (1.0 + error))
     return Odometer(corrected, (_describe(error, displacement),))

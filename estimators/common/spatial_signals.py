@@ -36,8 +36,7 @@ from road_envs.records.record import (
 
 DECIMATION = 6
 SPACING = DECIMATION * PROFILE_SPACING  # distance between stations [m]
-# Stations estimated beyond either end of the road, for the filter back to the grid
-EDGE_STATIONS = 4
+EDGE_STATIONS = 4  # stations beyond either end of the road, for the filter back to the grid
 FILTER_REACH = EDGE_STATIONS * SPACING  # reach of the low-pass [m] to either side
 _N_CUT = 3.0  # cut-off of the low-pass [cycles/m]: 50 dB down from 4.5 on, flat to 0.4 % up to 1.8
 _LOWPASS = signal.firwin(
@@ -46,8 +45,7 @@ _LOWPASS = signal.firwin(
 
 _F_VELOCITY = 0.3  # high-pass of the velocities [Hz]: below, integrated drift is as large as motion
 BANDS = np.geomspace(5.0, SCORED_F_MAX, 6)  # limits [Hz] of bands whose powers are compared
-# Energy [m²/s³] added in every band, of noise of 0.05 m/s² over 20 s: ratios of nothing are 1
-_NOISE_ENERGY = 0.05
+_NOISE_ENERGY = 0.05  # [m²/s³] in every band, of 0.05 m/s² over 20 s, so ratios of nothing are 1
 LEVEL_MIN = 3e-4  # added to the level of heights [m], so that noise on level roads is not amplified
 N_HIGH_PASS = 0.05  # high-pass of the target heights [cycles/m]: accelerations fall with n² v²
 _N_SHORT = 0.15  # spatial frequency [cycles/m] above which waves are short

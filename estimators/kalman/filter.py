@@ -37,9 +37,7 @@ _MAX_LIMIT, _MAX_NIS = TUNING.max_limit, TUNING.max_nis
 def filter_blocks(
     model: FilterModel, inputs: FilterInputs, local: LocalState, test: StepTest, first, last
 ):
-    """Filter the blocks from `first` to `last` (excluded), or until a step of the road is likely.
-    Return the block behind the last one, and whether one is likely.
-    """
+    """Filter blocks `first` to `last` (excluded); return the one behind, whether a step ends it."""
     size, n_vehicle = local.x.size, model.force_effect.shape[1] - 3
     factors, end_state = np.empty((3 + n_vehicle, size)), np.empty(n_vehicle)
     block = LinearizedBlock(factors, np.empty(3), end_state, np.empty(4))

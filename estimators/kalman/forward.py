@@ -22,14 +22,7 @@ from estimators.kalman.filter import filter_blocks
 from estimators.kalman.filtered import FilteredWindow, FilterRun
 from estimators.kalman.profile_output import ProfileOutput, fill_weights, lost_noise_scale
 from estimators.kalman.road_process import add_node
-from estimators.kalman.state import (
-    N_SUMS,
-    NOISE_SCALE,
-    ROUGHNESS_SCALE,
-    SIGNAL_POWER,
-    LocalState,
-    StepTest,
-)
+from estimators.kalman.state import NOISE_SCALE, ROUGHNESS_SCALE, SIGNAL_POWER, LocalState, StepTest
 from estimators.kalman.tuning import TUNING
 
 _MIN_LOG_RATIO = TUNING.min_log_ratio
@@ -205,7 +198,7 @@ class WindowFilter:
             return []
         n, oldest = road.n_states, int(schedule.oldest[i + 1])
         held = np.arange(oldest, schedule.reached[block] + 1)
-        sums = road.first_sum + np.arange(N_SUMS)
+        sums = np.arange(road.first_sum, road.first_node)
         entries = np.append(sums, road.node_entries(held)).reshape(-1, 2)
         at = np.clip(output.node[first:last] - oldest, 0.0, held.size - 1.0)
         weights = np.empty((last - first, len(entries)))

@@ -45,9 +45,7 @@ def local_nis(nis: np.ndarray, front: np.ndarray, s: np.ndarray, lag: float) -> 
 
 
 def recent_nis(nis: np.ndarray, front: np.ndarray, length: float) -> np.ndarray:
-    """Return the mean (J,) of the `nis` (J,) over the last `length` [m] of the front axle, at
-    `front` (J,) [m] with each block; over `min_blocks` at least.
-    """
+    """Return the mean `nis` (J,) over the `length` [m] behind `front` (J,) [m], or `min_blocks`."""
     total, last = np.cumsum(np.append(0.0, nis)), np.arange(1, nis.size + 1)
     first = np.minimum(np.searchsorted(front, front - length), last - TUNING.min_blocks)
     first = np.maximum(first, 0)

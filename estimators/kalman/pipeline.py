@@ -15,9 +15,10 @@ from estimators.kalman.jumps import RoadJumps
 from estimators.kalman.profile_output import ProfileOutput, fill_weights
 from estimators.kalman.road_process import ARModel, RoadProcess
 from estimators.kalman.smoother import smooth_backward
-from estimators.kalman.state import N_BIAS, FilterInputs, FilterModel
+from estimators.kalman.state import N_BIAS, ROUGHNESS_SCALE, FilterInputs, FilterModel
 from estimators.kalman.tuning import TUNING
 from estimators.kalman.windows import WindowSchedule
+from estimators.preprocessing import SPEED_MIN
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.record import F_C, Record, profile_stations, scored_band
 from road_envs.sensing.instruments import Instruments
@@ -179,6 +180,19 @@ def setup_output(
         z=np.zeros((s.size, 2)),
         variance=np.zeros((s.size, 2)),
     )
+
+
+def output_std(
+    run: FilterRun, output: ProfileOutput, record: Record, prior: RoadPrior
+) -> np.ndarray:
+    """Return in-band standard deviations (2, M) [m]; the prior's where no wheel has been."""
+    n = np.linspace(*scored_band(float(np.clip(record.v.mean(), SPEED_MIN, 100.0))), 400)
+    s, variance = profile_stations(record.length), np.maximum(output.variance.T, 0.0)
+    # before the record nothing was known of the roughness but the prior
+    scale = np.where(s < record.s[0], 1.0, run.state.adaptive[ROUGHNESS_SCALE])
+    prior_variance = scale * np.trapezoid(prior.density(n), n)
+    unseen = (s < record.s[0]) | (s > record.s[-1])
+    return np.sqrt(np.where(unseen, np.maximum(variance, prior_variance), variance))
 
 
 def run_filter(run: FilterRun, output: ProfileOutput) -> None:

@@ -126,9 +126,7 @@ class CalibratedFir(Settings):
         return self._identify(known, car) if known else self
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Return the most probable road and its standard deviation in the scored band. Raises
-        RecordError, NotFittedError.
-        """
+        """Return the likeliest road, its in-band std. Raises RecordError, NotFittedError."""
         model = require_fitted(self.fitted_state, self)
         record, notes = clean_record(record, None)
         odometer = calibrate_odometer(record)
@@ -240,9 +238,7 @@ def _identify_state(
 def _validate(
     found: IdentifiedResponses, drives: Sequence[CalibrationDrive], axles: np.ndarray
 ) -> tuple[float, float]:
-    """Return the factor on standard deviations that gives COVERAGE on segments left out, and the
-    in-band RMS error over the RMS of the road there.
-    """
+    """Return the factor on deviations and the in-band error over the road, on segments left out."""
     ratios, square, power = [], 0.0, 0.0
     for drive in drives[:_VALIDATED]:
         record, profile = drive.record, cast(Profile, drive.profile)

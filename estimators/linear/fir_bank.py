@@ -31,10 +31,8 @@ from estimators.common.spatial_signals import (
     motion_windows,
 )
 
-# Speeds [m/s] of the taps; outside, the taps of the first or last knot hold
-KNOTS = np.geomspace(*SPEED_RANGE, 9)
-# States of front spring, front damper, rear spring and rear damper; the first is bit 3
-_N_STATE_COMBINATIONS = 16
+KNOTS = np.geomspace(*SPEED_RANGE, 9)  # speeds [m/s]; outside, the taps of the first or last hold
+_N_STATE_COMBINATIONS = 16  # of spring and damper in front (bits 3 and 2), then at the rear
 RIDGE = 1e-4
 SMOOTHNESS = 1e-4
 _MM = 1e-3  # unit of the heights [m]: taps are stored as float16 for heights in mm
@@ -59,9 +57,7 @@ class FirBank(NamedTuple):
         behind: int,
         ahead: int,
     ) -> "FirBank":
-        """Fit the taps to drives with targets m and q (2, M) [m], at the mean speed and in the
-        prevailing states of each.
-        """
+        """Fit taps to m and q (2, M) [m] of drives, of their mean speed and prevailing states."""
         groups: dict[int, list[tuple[SpatialSignals, np.ndarray]]] = {}
         for drive in zip(all_signals, targets, strict=True):
             groups.setdefault(int(drive[0].state @ [8, 4, 2, 1]), []).append(drive)

@@ -53,9 +53,7 @@ class RoadDrive(NamedTuple):
 
     @classmethod
     def of(cls, record: Record, profile: Profile, axles: np.ndarray) -> "RoadDrive":
-        """Return a drive over a known `profile`, level beyond its ends, of which samples with all
-        `axles` (X,) [m] behind the first on it are used.
-        """
+        """Return a drive over a `profile`, used where all `axles` (X,) [m] after the first are."""
         t = sample_times(record)
         fine, s = fine_stations(record, t), np.interp(t, record.t, record.s)
         weights = acceleration_filter()
@@ -113,9 +111,7 @@ class IdentifiedResponses(NamedTuple):
     def identify(
         cls, drives: Sequence[RoadDrive], prior: np.ndarray | None = None
     ) -> "IdentifiedResponses":
-        """Identify the responses from drives of one vehicle in one state; `prior` (k, axles, 2,
-        N_TAPS): mean of the taps before these drives, by default 0.
-        """
+        """Identify vehicle and state; `prior` (k, axles, 2, N_TAPS): mean taps before, else 0."""
         k, shape = len(drives[0].a), (*drives[0].u.shape[:2], N_TAPS)
         mean = np.zeros((k, int(np.prod(shape)))) if prior is None else prior.reshape(k, -1)
         stacked = [(drive, _stack_delays(drive.u)) for drive in drives]
@@ -205,10 +201,9 @@ def _kernel_factor(log_scale: float, decay: float) -> np.ndarray:
 
 
 def _posterior(sums: LeastSquaresSums, j: int, settings: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the negative log marginal likelihood of sensor `j` and its taps' mean (p,), under
-    `settings`: log c, logit lambda, log of the noise variance.
-    """
-    # taps are F w with white w: M is the Gram matrix of w, F' (X'X) F block by block of inputs
+    """Return negative log likelihood and mean taps (p,) of sensor `j` under `settings`."""
+    # `settings`: log c, logit lambda, log of the noise variance. Taps are F w with white w: M is the
+    # Gram matrix of w, F' (X'X) F block by block of inputs
     F = _kernel_factor(settings[0], 1.0 / (1.0 + np.exp(-settings[1])))
     inputs, noise = len(sums.XX) // N_TAPS, float(np.exp(settings[2]))
     blocks = sums.XX.reshape(inputs, N_TAPS, inputs, N_TAPS)

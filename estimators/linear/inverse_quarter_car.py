@@ -184,9 +184,7 @@ def _weigh_by_road(heights: np.ndarray, f: np.ndarray, f_low: float) -> np.ndarr
 
 
 def _merge_axles(record: Record, z: np.ndarray, wheelbase: float) -> np.ndarray:
-    """Return both wheel paths (2, M) [m] from heights (4, N) [m] under the wheels: the mean of
-    front and rear, or the one that passed the station within the record.
-    """
+    """Return wheel paths (2, M) [m], the mean of front and rear (4, N) [m] as far as recorded."""
     stations = profile_stations(record.length)
     axles = (stations, z[:2]), (stations + wheelbase, z[2:])
     heights = np.array([record.interpolate(at, wheels) for at, wheels in axles])

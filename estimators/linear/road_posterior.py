@@ -50,9 +50,7 @@ class Nodes(NamedTuple):
         return sparse.csr_array((weights.ravel(), indices), shape=(s.size, self.size))
 
     def accelerations(self, fine: np.ndarray) -> sparse.csr_array:
-        """Return the matrix (N, size) [1/s²] from coefficients to accelerations of the road under
-        an axle at the stations `fine`, as of `fine_stations`.
-        """
+        """Return the matrix (N, size) [1/s²] to accelerations of the road at `fine` stations."""
         # row k of F has the filter's weights over the fine instants around sample k
         weights = acceleration_filter()
         N = (fine.size - weights.size) // OVERSAMPLING + 1
@@ -163,11 +161,8 @@ class NormalEquations(NamedTuple):
             return float(loss), np.array([noise - log_ratio, noise])
 
         first = start[1] - start[0]
-        found = minimize_scalar(
-            lambda x: settings_of(x)[0],
-            bounds=(first - _SEARCHED, first + _SEARCHED),
-            options={"xatol": 0.1},
-        )
+        bounds, options = (first - _SEARCHED, first + _SEARCHED), {"xatol": 0.1}
+        found = minimize_scalar(lambda x: settings_of(x)[0], bounds=bounds, options=options)
         return settings_of(found.x)[1]
 
 

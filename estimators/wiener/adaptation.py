@@ -32,12 +32,7 @@ from road_envs.analysis.information_bound import equivalent_damping, strut_rate_
 from road_envs.analysis.statistical_linearization import hermitian
 from road_envs.records.record import F_C, Record
 from road_envs.sensing.instruments import Instruments
-from road_envs.vehicle.linear_model import (
-    frequency_response,
-    gaussian_damping,
-    linearise,
-    response_changes,
-)
+from road_envs.vehicle import linear_model
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import ParameterSpace, has_absent_elements, parameter_space
 
@@ -129,17 +124,17 @@ def _responses(
     v, mode, f, n = segment.v, segment.mode, model.f, model.n
     vehicle = SensedVehicle.of(space.from_vector(x), instruments)
     damping = equivalent_damping(vehicle.plant, mode, v, model.prior)
-    linear = linearise(vehicle.plant, mode, vehicle.points, damping=damping, speed=v)
+    linear = linear_model.linearise(vehicle.plant, mode, vehicle.points, damping=damping, speed=v)
     rate = strut_rate_std(linear, v, f, model.S / v)
-    from_rate = gaussian_damping(vehicle.plant, mode, rate)
+    from_rate = linear_model.gaussian_damping(vehicle.plant, mode, rate)
     shifted = TUNING.difference * np.eye(space.size)
     others = [SensedVehicle.of(space.from_vector(x + d), instruments) for d in shifted]
     models = []
     for one in others:
-        own = damping * gaussian_damping(one.plant, mode, rate) / from_rate
-        models.append(linearise(one.plant, mode, one.points, damping=own, speed=v))
-    unbent = frequency_response(linear, v, f=f)
-    changes = response_changes(linear, models, v, f)
+        own = damping * linear_model.gaussian_damping(one.plant, mode, rate) / from_rate
+        models.append(linear_model.linearise(one.plant, mode, one.points, damping=own, speed=v))
+    unbent = linear_model.frequency_response(linear, v, f=f)
+    changes = linear_model.response_changes(linear, models, v, f)
     H = vehicle.response(unbent, f, n)
     dH = [one.response(unbent + d, f, n) - H for one, d in zip(others, changes, strict=True)]
     return H, np.array(dH) / TUNING.difference

@@ -26,14 +26,8 @@ from scipy.ndimage import maximum_filter1d
 from scipy.stats import median_abs_deviation
 
 from estimators.preprocessing import mask_record
+from estimators.wiener import spectral_model
 from estimators.wiener.segments import dominant_modes, split_segments
-from estimators.wiener.spectral_model import (
-    SensedVehicle,
-    active_sensors,
-    fit_hyperparameters,
-    signal_psd,
-    windowed_spectrum,
-)
 from estimators.wiener.tuning import TUNING
 from road_envs.core.config import ConfigError
 from road_envs.records.record import F_C, Record
@@ -218,10 +212,12 @@ def _deviance(record: Record, car: VehicleParameters, instruments: str) -> _Devi
     """Return the deviance of a record under the description of its `car`."""
     sensors = instruments_of(record, instruments)
     (segment,) = split_segments(mask_record(record, sensors), np.inf, 0.0)
-    model = fit_hyperparameters(SensedVehicle.of(car, sensors), segment)
-    used, band = active_sensors(segment), (model.f > TUNING.f_low) & (model.f < F_C)
-    y = windowed_spectrum(model, segment)[band][:, used]
-    C = signal_psd(model, model.noise_psd())[band][:, used][:, :, used]
+    vehicle = spectral_model.SensedVehicle.of(car, sensors)
+    model = spectral_model.fit_hyperparameters(vehicle, segment)
+    used = spectral_model.active_sensors(segment)
+    band = (model.f > TUNING.f_low) & (model.f < F_C)
+    y = spectral_model.windowed_spectrum(model, segment)[band][:, used]
+    C = spectral_model.signal_psd(model, model.noise_psd())[band][:, used][:, :, used]
     misfit = np.real(np.sum(y.conj() * np.linalg.solve(C, y), axis=(1, 2)))
     # densities over frequency, not over distance: those of other speeds are compared
     log_det = np.linalg.slogdet(C)[1] - used.size * np.log(segment.v)
@@ -231,9 +227,7 @@ def _deviance(record: Record, car: VehicleParameters, instruments: str) -> _Devi
 
 
 def _middle(record: Record) -> Record | None:
-    """Return `checked_length` in the middle of a record, from station 0 on; None if the struts
-    change their state or channels are few.
-    """
+    """Return `checked_length` of a record, from station 0; None if switched or of few channels."""
     if record.is_switched or len(record.channels) < TUNING.least_channels:
         return None
     reach = 0.5 * TUNING.checked_length

@@ -28,14 +28,8 @@ from road_envs.analysis.statistical_linearization import (
     residual_force_psd,
 )
 from road_envs.sensing.instruments import Instruments
+from road_envs.vehicle import linear_model
 from road_envs.vehicle.equations import Plant, build_plant
-from road_envs.vehicle.linear_model import (
-    combine_wheel_paths,
-    force_response,
-    frequency_response,
-    linearise,
-    strut_rate_response,
-)
 from road_envs.vehicle.parameters import VehicleParameters
 
 # Band centres of the noise scale [Hz] and of the road's shape [cycles/m], interpolated over the log
@@ -154,9 +148,9 @@ def _build_model(
     n[0] = 0.5 * n[1]  # at 0 the responses vanish and the prior is infinite
     f = n * v
     damping = equivalent_damping(plant, segment.mode, v, prior)
-    linear = linearise(plant, segment.mode, vehicle.points, damping=damping, speed=v)
-    enveloped = vehicle.envelope(n)[:, None, None]
-    H_force, X_force = force_response(linear, f)
+    linear = linear_model.linearise(plant, segment.mode, vehicle.points, damping=damping, speed=v)
+    H_force, X_force = linear_model.force_response(linear, f)
+    X = linear_model.combine_wheel_paths(linear, v, f, linear_model.strut_rate_response(linear, f))
     law = nonlinear_residual(plant, segment.mode, damping)
 
     def under_tyres(n: np.ndarray) -> np.ndarray:
@@ -167,8 +161,8 @@ def _build_model(
         size=size,
         n=n,
         f=f,
-        H=vehicle.response(frequency_response(linear, v, f=f), f, n),
-        X=combine_wheel_paths(linear, v, f, strut_rate_response(linear, f)) * enveloped,
+        H=vehicle.response(linear_model.frequency_response(linear, v, f=f), f, n),
+        X=X * vehicle.envelope(n)[:, None, None],
         H_force=vehicle.readings(H_force, f),
         X_force=X_force,
         residual_law=law,
@@ -268,9 +262,7 @@ def _circulant_product(spectrum: np.ndarray, x: np.ndarray, size: int) -> np.nda
 def solve_circulant(
     C: np.ndarray, y: np.ndarray, valid: np.ndarray, size: int, start: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return x (S, M), zero where not `valid`, with C x = y (S, M) where `valid`, by conjugate
-    gradients with FFT products and the preconditioner C^-1 of the circle.
-    """
+    """Return x (S, M) with C x = y where `valid`, else 0, preconditioned by C^-1 of the circle."""
     inverse = np.linalg.inv(C)
     x, _ = conjugate_gradients(
         lambda x: valid * _circulant_product(C, x, size),
