@@ -202,8 +202,8 @@ def _kernel_factor(log_scale: float, decay: float) -> np.ndarray:
 
 def _posterior(sums: LeastSquaresSums, j: int, settings: np.ndarray) -> tuple[float, np.ndarray]:
     """Return negative log likelihood and mean taps (p,) of sensor `j` under `settings`."""
-    # `settings`: log c, logit lambda, log of the noise variance. Taps are F w with white w: M is the
-    # Gram matrix of w, F' (X'X) F block by block of inputs
+    # `settings`: log c, logit lambda, log of the noise variance. Taps are F w with white w: M is
+    # the Gram matrix of w, F' (X'X) F block by block of inputs
     F = _kernel_factor(settings[0], 1.0 / (1.0 + np.exp(-settings[1])))
     inputs, noise = len(sums.XX) // N_TAPS, float(np.exp(settings[2]))
     blocks = sums.XX.reshape(inputs, N_TAPS, inputs, N_TAPS)

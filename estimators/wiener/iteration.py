@@ -31,7 +31,7 @@ from estimators.wiener.spectral_model import (
 from estimators.wiener.tuning import TUNING
 from road_envs.analysis.information_bound import posterior
 from road_envs.analysis.statistical_linearization import NonlinearResidual, hermitian
-from road_envs.records.record import F_C
+from road_envs.records.record import F_C, PROFILE_SPACING, scored_band
 
 
 class Iterate(NamedTuple):
@@ -87,6 +87,28 @@ def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Itera
         share = np.clip(TUNING.residual_noise_share * unresolved, 0.01, 1.0)
     assert iterate is not None
     return iterate
+
+
+def to_grid(segment: Segment, iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
+    """Return heights and standard deviations (2, N) [m] at profile stations of the segment."""
+    model = iterate.model
+    size = model.size * segment.stride
+    lines = np.zeros((2, size // 2 + 1), dtype=complex)
+    lines[:, : model.n.size] = iterate.z * (model.f < F_C)
+    z = irfft(lines, size) * segment.stride
+    low, high = scored_band(segment.v)
+    band = (model.n >= low) & (model.n <= high)
+
+    def std(spectrum: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.trapezoid(np.real(np.einsum("fii->if", spectrum[band])), model.n[band]))
+
+    # valid samples within 1.5 m of each profile station
+    measured = np.repeat(segment.valid.mean(axis=0), segment.stride)
+    window = np.ones(2 * round(1.5 / PROFILE_SPACING) + 1)
+    share = np.zeros(size)
+    share[: measured.size] = np.convolve(measured, window / window.size, "same").clip(0.0, 1.0)
+    known, prior = std(iterate.error)[:, None] ** 2, std(model.S)[:, None] ** 2
+    return z, np.sqrt(share * known + (1.0 - share) * prior)
 
 
 def _residual_forces(iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:

@@ -25,7 +25,6 @@ from functools import partial
 from typing import ClassVar
 
 import numpy as np
-from scipy.fft import irfft
 
 from estimators.common.explained import reduce_unexplained, trusted_share, untrusted_note
 from estimators.common.misfit import NOISE_SCALE_WARNING, misfit_note
@@ -33,19 +32,12 @@ from estimators.common.odometer import calibrate_odometer
 from estimators.map_smoother.identified_vehicle import CalibratedByIdentification
 from estimators.preprocessing import mask_record
 from estimators.wiener.adaptation import adapt_vehicle
-from estimators.wiener.iteration import Iterate, smooth_segment
+from estimators.wiener.iteration import smooth_segment, to_grid
 from estimators.wiener.segments import Segment, split_segments
 from estimators.wiener.spectral_model import SensedVehicle, SpectralModel, fit_hyperparameters
 from estimators.wiener.tuning import TUNING
 from road_envs.core.config import Count, Positive
-from road_envs.records.record import (
-    F_C,
-    PROFILE_SPACING,
-    Estimate,
-    Record,
-    profile_stations,
-    scored_band,
-)
+from road_envs.records.record import PROFILE_SPACING, Estimate, Record, profile_stations
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -88,7 +80,7 @@ class Wiener(CalibratedByIdentification):
         for segment in segments:
             model = middle if segment is segments[k] else fit(segment)
             unexplained = max(unexplained, float(np.mean(model.noise_scale)))
-            z, std = _to_grid(segment, smooth_segment(model, segment, passes))
+            z, std = to_grid(segment, smooth_segment(model, segment, passes))
             at = np.round(stations / PROFILE_SPACING).astype(int) - segment.first * segment.stride
             weight = _blend_weights(stations, segment.core, record.length)
             inside = (at >= 0) & (at < z.shape[1]) & (weight > 0.0)
@@ -117,28 +109,6 @@ class IteratedWiener(Wiener):
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError."""
         return self._estimate(record, car, self.passes)
-
-
-def _to_grid(segment: Segment, iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
-    """Return heights and standard deviations (2, N) [m] at profile stations of the segment."""
-    model = iterate.model
-    size = model.size * segment.stride
-    lines = np.zeros((2, size // 2 + 1), dtype=complex)
-    lines[:, : model.n.size] = iterate.z * (model.f < F_C)
-    z = irfft(lines, size) * segment.stride
-    low, high = scored_band(segment.v)
-    band = (model.n >= low) & (model.n <= high)
-
-    def std(spectrum: np.ndarray) -> np.ndarray:
-        return np.sqrt(np.trapezoid(np.real(np.einsum("fii->if", spectrum[band])), model.n[band]))
-
-    # valid samples within 1.5 m of each profile station
-    measured = np.repeat(segment.valid.mean(axis=0), segment.stride)
-    window = np.ones(2 * round(1.5 / PROFILE_SPACING) + 1)
-    share = np.zeros(size)
-    share[: measured.size] = np.convolve(measured, window / window.size, "same").clip(0.0, 1.0)
-    known, prior = std(iterate.error)[:, None] ** 2, std(model.S)[:, None] ** 2
-    return z, np.sqrt(share * known + (1.0 - share) * prior)
 
 
 def _blend_weights(stations: np.ndarray, core: tuple[float, float], length: float) -> np.ndarray:
