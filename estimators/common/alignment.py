@@ -30,10 +30,8 @@ _Slopes = tuple[np.ndarray, np.ndarray]  # stations (K,) [m] and slopes (2, K) o
 
 @dataclass(frozen=True, eq=False)
 class StationMap:
-    """Piecewise linear map of stations to those of the reference.
-
-    `stations` (K,) [m], increasing, are mapped to `reference` (K,) [m]; beyond the ends the scale
-    is that of the nearest piece. `correlation` of the slopes in the band, at one lag and one scale.
+    """Piecewise linear map of `stations` (K,) [m], increasing, to `reference` (K,) [m], at the ends
+    of the nearest piece's scale; `correlation` of the slopes in the band, at one lag and one scale.
     """
 
     stations: np.ndarray
@@ -190,10 +188,8 @@ def _peak(lags: np.ndarray, correlation: np.ndarray, i: int) -> float:
 def lag_correlations(
     reference: np.ndarray, other: np.ndarray, needed: int, start: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return lags (L,) and correlation coefficients (L,) of slopes (2, N) and (2, M).
-
-    At a lag k, sample i of `other` lies on sample i + k - `start` of `reference`. Only lags with at
-    least `needed` common samples are returned.
+    """Return lags (L,) and correlation coefficients (L,) of slopes (2, N) and (2, M), with `needed`
+    common samples at least. At a lag k, sample i of `other` lies on i + k - `start` of `reference`.
     """
     ones = np.ones_like(other)
 

@@ -123,10 +123,8 @@ def _demand_ratio(
 def mark_impossible(
     estimate: Estimate, record: Record, car: VehicleParameters, estimator: Estimator
 ) -> Estimate:
-    """Return the `estimate` of an `estimator` with a model of the vehicle with its impossible
-    heights marked as `unsure`, in the first note and by a greater `z_std`. Raises ConfigError.
-
-    Which heights of a window demand its accelerations is not told, so all of it are marked.
+    """Return the `estimate` of an `estimator` with a model of the vehicle with its windows of
+    impossible heights marked as `unsure`, in the first note and by `z_std`. Raises ConfigError.
     """
     if not isinstance(estimator, HasInstruments):
         return estimate
@@ -172,9 +170,8 @@ def untrusted_note(share: np.ndarray) -> tuple[str, ...]:
 def reduce_unexplained(
     z: np.ndarray, z_std: np.ndarray | None, share: np.ndarray | float
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return heights `z` (2, M) [m] times `share`, 0 to 1, and the standard deviation they leave.
-
-    The part that is taken away counts as error. `share` is a number or one per station (M,).
+    """Return heights `z` (2, M) [m] times `share`, 0 to 1, one or (M,), and their standard
+    deviation, to which the part that is taken away counts.
     """
     share = np.broadcast_to(share, z.shape)
     if z_std is None or not (share < 1.0).any():

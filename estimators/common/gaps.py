@@ -12,9 +12,8 @@ _LEAST = 0.1  # shortest gap [s]: a period of the axles, over which the vehicle 
 
 
 def read_share(at: np.ndarray, s: np.ndarray, read: np.ndarray, wheelbase: float) -> np.ndarray:
-    """Return the share (M,) of what was read while either axle passed the stations `at` (M,) [m].
-
-    `read` (N,) is that when the front axle was at the stations `s` (N,) [m].
+    """Return the share (M,) of what was read while either axle passed the stations `at` (M,) [m],
+    from `read` (N,) when the front axle was at `s` (N,) [m].
     """
     front, rear = (np.interp(at + behind, s, read) for behind in (0.0, wheelbase))
     return np.maximum(front, rear)

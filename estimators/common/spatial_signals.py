@@ -54,12 +54,10 @@ N_RATIOS = 2 * (BANDS.size - 1)  # front over rear, then roll over rear, in each
 
 
 class SpatialSignals(NamedTuple):
-    """Signals at K even stations, `margin` of them before the first that is estimated and after
-    the last. `motions` (6, K): accelerations [m/s²] and velocities [m/s] of front, rear and roll;
-    `v` (K,): speed [m/s]; `states` (K, 4): shares of stiff springs and of high damping in front,
-    then at the rear. All are those of the moment when the front axle passed the station; motions
-    are zero where the record does not reach. `spectrum` (N_RATIOS, K): logarithms of power ratios
-    until that moment, or those of the whole drive throughout.
+    """Signals at K even stations when the front axle passed, `margin` of them before the first that
+    is estimated and after the last. `motions` (6, K): accelerations [m/s²] and velocities [m/s] of
+    front, rear and roll, zero beyond the record; `v` (K,): speed [m/s]; `states` (K, 4): as of
+    `axle_states`; `spectrum` (N_RATIOS, K): logarithms of power ratios until then, or of the drive.
     """
 
     motions: np.ndarray

@@ -54,9 +54,8 @@ class FilterState:
 
 @dataclass(frozen=True, eq=False)
 class FilterRun:
-    """A drive prepared for the filter: `model`, `inputs`, the `road` and the `windows`, and the
-    current `state`. A station s has the node number (s - `origin`) / node_spacing, and is emitted
-    when the front axle is `lag` [m] past it.
+    """A drive prepared for the filter, and its current `state`. A station s has the node number
+    (s - `origin`) / node_spacing, and is emitted when the front axle is `lag` [m] past it.
     """
 
     model: FilterModel

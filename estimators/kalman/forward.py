@@ -116,8 +116,7 @@ class WindowFilter:
         self, i: int, first: int, end: int, left: tuple[np.ndarray, np.ndarray, np.ndarray]
     ) -> tuple[FilteredWindow, int]:
         """Emit what is due before the block `first` of the window `i`, and filter from there to
-        `end`, to the next station that is due, or until a step is accepted. Return the part, with
-        the nodes that `left`, and the block behind it.
+        `end`, the next station due or an accepted step. Return the part, and the block behind it.
         """
         emitted = self._emit(i, first)
         if self._emitted < len(self.output.node):

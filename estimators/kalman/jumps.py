@@ -69,8 +69,7 @@ def _add_information(score, information, response, innovation):
 @dataclass(frozen=True, eq=False)
 class AcceptedStep:
     """A step of `size` [m] of the `candidate` at a `node`, in the `direction` (n,), its `variance`
-    [m²] by the innovations and the one `added` [m²] to the state; `cross` (m,) [1/m²]: information
-    on it and each other candidate.
+    [m²] and the one `added` [m²] to the state; `cross` (m,) [1/m²]: information on it and others.
     """
 
     candidate: int

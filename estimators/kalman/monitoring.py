@@ -55,10 +55,9 @@ def recent_nis(nis: np.ndarray, front: np.ndarray, length: float) -> np.ndarray:
 def with_model_error(
     z_std: np.ndarray, z: np.ndarray, acceleration: np.ndarray, car: VehicleParameters
 ) -> np.ndarray:
-    """Return standard deviations `z_std` (2, M) of heights `z` (2, M) [m] with the errors that no
-    innovation shows: the laws are linearized, the less well the greater the latest `acceleration`
-    (M,) [m/s²], and a `car` within its tolerances answers with other heights, in proportion to
-    those of the metres behind.
+    """Return `z_std` (2, M) of heights `z` (2, M) [m] with the errors that no innovation shows: of
+    linearized laws, with the latest `acceleration` (M,) [m/s²], and of a `car` within its
+    tolerances, in proportion to the heights of the metres behind.
     """
     linearized = z_std * np.hypot(1.0, acceleration / TUNING.linear_acceleration)
     total = np.cumsum(z**2, axis=1)

@@ -42,8 +42,7 @@ def setup_run(
     lag: float,
 ) -> FilterRun:
     """Return the run of a record before its first block. `noise_variance` [(m/s²)²] of a sample;
-    with `level_ends` the road is level before station 0 and after its end; `lag` [m] of
-    `FilterRun`. Raises ValueError if the odometer jumps.
+    `level_ends`: of the road; `lag` [m] of `FilterRun`. Raises ValueError if the odometer jumps.
     """
     steps_per_block = measurements.sample_weight.shape[2] * model_inputs.decimation
     s, half_steps = model_inputs.s, 2 * steps_per_block

@@ -53,8 +53,7 @@ def _windowed_sinc(d, cutoff):
 @kernel(inline=False)
 def _output_weights(u, at, decay, cutoff):
     """Write the weights `u` (2 + L,) of retired-node sums and of L nodes, the oldest first, in the
-    output `at` nodes from the oldest, beyond which the road is level. With a `decay` of 0 no long
-    waves are subtracted.
+    output `at` nodes from the oldest; beyond them the road is level. No long waves: `decay` 0.
     """
     u[:] = 0.0
     last, sum_low = u.size - 3, 0.0

@@ -82,15 +82,13 @@ class FilterInputs(NamedTuple):
 
 
 class LocalState(NamedTuple):
-    """The L entries of the state vector that a window of B blocks measures or moves.
-
-    They are [vehicle, biases, nodes under the front axle, nodes under the rear axle]; the mean of
-    node k has the index `nodes_at` - 2 k, for each axle (2,). Mean `x` (L,); `rows` (L, 2 L) the
-    covariance and, beside it, the closed-loop transition: derivative of the error by the error at
-    the window's start. Valve states `strut_state` (4, 3); parameters `adaptive` (5,). Of each
-    measurement: its `innovation` (3 B,) and its derivative `U` (3 B, L) by the error at the
-    window's start, both whitened. Of each block: the normalized innovation squared per measurement
-    `nis` (B,), `noise_scale` (B,) and `signal_power` (B,).
+    """The L entries of the state vector that a window of B blocks measures or moves: vehicle,
+    biases, nodes under the front axle, nodes under the rear axle; the mean of node k has the index
+    `nodes_at` - 2 k, for each axle (2,). Mean `x` (L,); `rows` (L, 2 L) the covariance and, beside
+    it, the closed-loop transition: derivative of the error by the error at the window's start.
+    Valve states `strut_state` (4, 3); parameters `adaptive` (5,). Of each measurement: its
+    `innovation` (3 B,) and its derivative `U` (3 B, L), both whitened. Of each block: normalized
+    innovation squared per measurement `nis` (B,), `noise_scale` (B,) and `signal_power` (B,).
     """
 
     x: np.ndarray
@@ -108,8 +106,7 @@ class LocalState(NamedTuple):
 class StepTest(NamedTuple):
     """Test for m candidate steps in a window of B blocks (`jumps.py`): `direction` (L, m), error of
     the local state at its start per unit step; `score` (m,), `information` (m, m) so far; newest
-    node that the front axle has touched `reached` (B,), whether the rear one is near an accepted
-    step `near_step` (B,); candidates at a time are `n_nodes` nodes.
+    node touched `reached` (B,), whether the rear axle is near a step `near_step` (B,).
     """
 
     direction: np.ndarray

@@ -38,9 +38,8 @@ class WindowSchedule:
         increment_span: int,
         held_nodes: int,
     ) -> "WindowSchedule":
-        """Divide a drive into windows in which the vehicle moves `max_advance` nodes at most, or
-        one block. `front_node` (2 steps,) at each half step, at least `held_nodes` nodes held
-        behind it and `increment_span` behind the rear axle.
+        """Divide a drive, with `front_node` (2 steps,) at each half step, into windows of one block
+        or `max_advance` nodes; `held_nodes` stay behind, `increment_span` behind the rear axle.
         """
         blocks = front_node.size // (2 * steps_per_block)
         node = front_node[: 2 * steps_per_block * blocks].reshape(blocks, -1)

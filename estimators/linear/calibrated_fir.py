@@ -67,9 +67,8 @@ _FAR_SPEED = 1.3  # factor between the speeds of calibration and drive from whic
 
 
 class _VehicleResponse(NamedTuple):
-    """Result of calibration drives in one `state` (4,), as of `_state`: `responses`, mean `speed`
-    [m/s], the factor `std_factor` on standard deviations, and the in-band `error` of segments
-    estimated without themselves over their road.
+    """Result of calibration drives in one `state` (4,): `responses`, mean `speed` [m/s], the factor
+    `std_factor` on standard deviations, and the in-band `error` over the road of segments left out.
     """
 
     responses: Responses

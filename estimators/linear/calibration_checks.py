@@ -24,9 +24,8 @@ _SEARCHED = np.arange(-10.0, 10.5, 0.5)  # shifts [m] of a profile tried to say 
 
 def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) -> None:
     """Raise CalibrationError if drives are too short or their roads have too few frequencies."""
-    used = [each.segment >= 0 for each in data]
+    pairs = [(each, each.segment >= 0) for each in data]
     names = drives[0].name if len(drives) == 1 else f"the {len(drives)} drives in this state"
-    pairs = zip(data, used, strict=True)
     length = sum(float(np.ptp(each.s[here])) for each, here in pairs if here.any())
     if length < _LENGTH_MIN:
         raise CalibrationError(
@@ -34,7 +33,7 @@ def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) 
             f"{_LENGTH_MIN:.0f} m are needed: check where the profile begins, or drive over a "
             "longer one"
         )
-    parts = [each.u[0][:, here] for each, here in zip(data, used, strict=True) if here.sum() > 1]
+    parts = [each.u[0][:, here] for each, here in pairs if here.sum() > 1]
     motions = {
         "the left wheel path": [u[0] for u in parts],
         "the right wheel path": [u[1] for u in parts],
@@ -51,9 +50,8 @@ def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) 
 
 
 def _independent_frequencies(u: np.ndarray) -> float:
-    """Return the number of independent frequencies of a road acceleration (N,) between F_BODY and
-    F_C: (sum of powers)² over the sum of their squares, of lines of the height's rate, which is
-    white on a road with a waviness of 2.
+    """Return the number of independent frequencies of a road acceleration (N,) in F_BODY to F_C:
+    (sum of powers)² over the sum of squares, of the height's rate, white for a waviness of 2.
     """
     f = np.fft.rfftfreq(u.size, 1.0 / RATE)
     inside = (f > F_BODY) & (f < F_C)

@@ -71,18 +71,16 @@ def adapt_vehicle(
     instruments: Instruments,
     passes: int,
 ) -> _UncertainVehicle | None:
-    """Return the most probable vehicle on a `segment` of a `record`: `car` with its tolerances, if
-    it may well be that, no other explains more, channels are fewer than `least_channels` or much is
-    obstacles, which are no part of a Gaussian process; None if its file gives no tolerances.
-    `model` is that of the segment for `car`, `passes` those of the estimate.
+    """Return the most probable vehicle on a `segment` of a `record`, with its `model` for `car`:
+    `car` with its tolerances, if it may well be that, no other explains more, channels are few or
+    much is obstacles, no part of a Gaussian process; None if its file gives no tolerances.
     """
     if not car.tolerances:
         return None
     before = after = float(np.mean(model.noise_scale))
     rigid = parameter_space(car, structure=False)
-    described = _UncertainVehicle(
-        rigid, instruments, np.zeros(rigid.size), np.eye(rigid.size), before
-    )
+    nominal = np.zeros(rigid.size)
+    described = _UncertainVehicle(rigid, instruments, nominal, np.eye(rigid.size), before)
     if (
         before < TUNING.adapted_scale
         or active_sensors(segment).size < TUNING.least_channels

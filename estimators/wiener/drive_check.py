@@ -54,10 +54,8 @@ _Deviance = tuple[float, float, float]  # deviance, mean noise scale, number of 
 def check_notes(
     record: Record, car: VehicleParameters, instruments: str, *, speed_known: bool = False
 ) -> tuple[str, ...]:
-    """Return a note if the `record` of a drive of a `car` fits another description better.
-
-    A drive that changes the state of its struts, or has few channels, is not checked. With
-    `speed_known`, the speed is not doubted. Raises ConfigError, RecordError.
+    """Return a note if the `record` of a drive of a `car` fits another description better, of whose
+    speed only if not `speed_known`. Raises ConfigError, RecordError.
     """
     if (part := _middle(record)) is None:
         return ()
@@ -69,10 +67,8 @@ def check_notes(
 
 
 def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tuple[str, ...]:
-    """Return a note if a vehicle that is held sideways in another way fits a drive better.
-
-    Only where the description leaves little unexplained otherwise, and three sensors or more tell
-    roll from heave and pitch. Raises ConfigError, RecordError.
+    """Return a note if a vehicle that is held sideways in another way fits a drive better, where
+    the description leaves little unexplained otherwise. Raises ConfigError, RecordError.
     """
     if (part := _middle(record)) is None:
         return ()
@@ -99,10 +95,8 @@ def _note_on_best(
     if not any(gains):
         return ()
     best = others[int(np.argmax(gains))]
-    pairs = (record, car), (best.record, best.car or car)
-    own, other = (
-        _deviance(_without_obstacles(part), vehicle, instruments) for part, vehicle in pairs
-    )
+    own = _deviance(_without_obstacles(record), car, instruments)
+    other = _deviance(_without_obstacles(best.record), best.car or car, instruments)
     if not _clear_gain(own, other, least):
         return ()
     return (
@@ -165,11 +159,9 @@ def _other_modes(record: Record, car: VehicleParameters) -> Iterator[_Alternativ
     names = " and ".join(dict.fromkeys(described.values()))
     for name, (stiff, high) in car.modes.items():
         if set(described.values()) != {name}:
-            other = replace(
-                record,
-                spring_stiff=np.full_like(record.spring_stiff, stiff),
-                damper_high=np.full_like(record.damper_high, high),
-            )
+            springs = np.full_like(record.spring_stiff, stiff)
+            dampers = np.full_like(record.damper_high, high)
+            other = replace(record, spring_stiff=springs, damper_high=dampers)
             yield _Alternative(f"the mode {name}", f"{names} is described (--mode)", other)
 
 
@@ -177,12 +169,8 @@ def _other_readings(record: Record, speed_known: bool = False) -> Iterator[_Alte
     """Yield a record with other units of its speed, other signs, and exchanged channels."""
     for unit, factor in _SPEED_UNITS.items():
         if not speed_known:
-            slower = replace(
-                record,
-                v=factor * record.v,
-                s=factor * (record.s - record.s[0]),
-                length=factor * record.length,
-            )
+            v, s = factor * record.v, factor * (record.s - record.s[0])
+            slower = replace(record, v=v, s=s, length=factor * record.length)
             given = f"{3.6 * np.median(record.v):.0f} km/h"
             yield _Alternative(
                 f"a speed of {3.6 * factor * np.median(record.v):.0f} km/h",

@@ -89,13 +89,11 @@ class SpectralModel:
     """Model on the frequencies `n` [cycles/m], `f` [Hz] (F,) of a circle of `size` stations.
 
     - `H` (F, S, 2) [m/s² per m], `X` (F, 4, 2) [m/s per m]: responses of the sensors and of the
-      struts' rates of extension to the wheel paths; `H_force` (F, S, 4), `X_force` (F, 4, 4): to
-      strut forces
+      struts' rates of extension to the wheel paths; `H_force`, `X_force` (F, ..., 4): to forces
     - `residual_law`: nonlinear part of the strut forces; `residual_power` (4,) [N²]: its power;
       `residual_psd` (F, 4, 4) [N² m]: its spectrum over n
     - `sensor_psd` [(m/s²)² m]: noise of a sensor; `model_error` (F, S, S): what an uncertain
-      vehicle adds; `noise_scale` (F,): factor on all noise
-    - `prior`: road prior; `S` (F, 2, 2) [m³]: its spectrum
+      vehicle adds; `noise_scale` (F,): factor on all noise; `S` (F, 2, 2) [m³]: the prior's
     """
 
     size: int
