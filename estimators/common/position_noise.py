@@ -49,9 +49,7 @@ def fit_wander(
     t: np.ndarray, travelled: np.ndarray, s: np.ndarray
 ) -> tuple[float, float, float, float]:
     """Fit stations `s` (N,) [m], less the first, to the integral of the speed `travelled` (N,).
-
-    Return offset [m], relative excess of the true distance over that of the speed signal, its
-    standard deviation, and that of the stations [m], root mean square along the drive.
+    Return offset [m], relative excess of the true distance, its deviation, and the stations' [m].
     """
     times, x, y = _block_means(t, travelled, s - travelled)
     basis = np.stack([np.ones_like(x), x], axis=1)

@@ -132,12 +132,12 @@ class SpatialEstimator(Settings, abc.ABC):
 
     @abc.abstractmethod
     def predictor(self, car: VehicleParameters) -> Predictor:
-        """Return what estimates a drive of the vehicle. Raises NotFittedError."""
+        """Return the function that estimates a drive of the vehicle. Raises NotFittedError."""
 
     def training_example(
         self, record: Record, truth: Profile, rigid: bool = True
     ) -> TrainingExample:
-        """Return what is kept of a drive for training. Raises RecordError."""
+        """Return the training example of a drive. Raises RecordError."""
         return TrainingExample.of(record, truth, self.causal, rigid)
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:

@@ -112,9 +112,8 @@ def _whiten(
     """Return the matrix T (3, 3) that whitens the measurements and the whitened innovation (3,),
     and adapt the noise scale. `covariance` (3, 3) or larger: of the means without their noise.
 
-    Each measurement is decorrelated from those before it and scaled to unit variance: a Cholesky
-    factorization, row by row. A censored one has the mean and the variance of a truncated normal
-    distribution, as if the update had both (Tobit filter), a lost one a row of zeros.
+    T is a Cholesky factorization, row by row: each is decorrelated from those before it. A censored
+    one has mean and variance of a truncated normal distribution (Tobit filter), a lost one zeros.
     """
     y, count, censored = inputs.y[:, j], inputs.sample_count[:, j], inputs.censored[:, j]
     noise_scale, n_measured, power, cross = local.adaptive[NOISE_SCALE], 0, 0.0, np.empty(3)

@@ -153,9 +153,8 @@ def _bend(model: FilterModel, acceleration, bending):
 
 @kernel(inline=False)
 def _node_derivatives(weights: _AxleWeights, i, direction, road):
-    """Write the derivatives of heights and rates under the wheels at the step `i` by the block's
-    nodes to `road` (G, 16, LANES), as in `rosenbrock.step`. Each lane of a group is a direction:
-    from `direction` on, mean and half difference of the front axle's nodes, then of the rear one's.
+    """Write the derivatives of heights and rates under the wheels at the step `i` to `road` (G, 16,
+    LANES), each lane a direction: from `direction` on, the front axle's nodes, then the rear one's.
     """
     node, height, slope = weights
     road[:] = 0.0

@@ -136,9 +136,8 @@ def _is_free(road: RoadProcess, newest):
 
 @kernel(inline=False)
 def _node_law(road: RoadProcess, newest):
-    """Return the step x' = F x + e of the state vector by which the next node replaces the oldest.
-    It changes the `entries` (6,), the retired-node sums and the node's mean and half difference:
-    each is the sum of its `sources` (6, order), entries of x, times the `factors` (6, order).
+    """Return the step x' = F x + e by which the next node replaces the oldest: `entries` (6,), sums
+    and node, as the sums of `sources` (6, order), entries of x, times `factors` (6, order).
     """
     order, first = road.weights.shape[1], road.n_vehicle + N_BIAS
     entries, sources = np.empty(6, dtype=np.int64), np.zeros((6, order), dtype=np.int64)

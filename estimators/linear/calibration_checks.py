@@ -82,7 +82,7 @@ def check_responses(
 
 
 def _reason(drive: CalibrationDrive, axles: np.ndarray) -> str:
-    """Return what would make the profile fit, as the end of a sentence."""
+    """Return the change that would make the profile fit, as the end of a sentence."""
     profile = cast(Profile, drive.profile)
     tried = {"the profile is reversed": Profile(profile.s, profile.z[::-1, ::-1])}
     for shift in _SEARCHED:

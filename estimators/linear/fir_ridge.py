@@ -116,7 +116,7 @@ class FirRidge(SpatialEstimator):
         return copy_with(self, fitted_state=bank)
 
     def predictor(self, car: VehicleParameters) -> Predictor:
-        """Return what estimates a drive by the bank. Raises NotFittedError."""
+        """Return the function that estimates a drive by the bank. Raises NotFittedError."""
         bank = self._fitted_or_pretrained()
 
         def predict(signals: SpatialSignals) -> Prediction:

@@ -78,9 +78,8 @@ class RoadDrive(NamedTuple):
 
 
 class Responses(NamedTuple):
-    """Responses and noise of one vehicle in one state: `taps` (k, axles, 2, N_TAPS) [-] by sensor,
-    axle and wheel path; `ar` (AR_ORDER,): coefficients of the residual's autoregression;
-    `innovation` (k, k) [(m/s²)²]: covariance of its innovations at RATE.
+    """Responses and noise of one vehicle in one state: `taps` (k, axles, 2, N_TAPS) [-], `ar`
+    (AR_ORDER,) of the residual, and the covariance `innovation` (k, k) [(m/s²)²] at RATE.
     """
 
     taps: np.ndarray

@@ -100,7 +100,7 @@ class NormalEquations(NamedTuple):
     def of(
         cls, responses: Responses, a: np.ndarray, roads: Sequence[sparse.csr_array]
     ) -> "NormalEquations":
-        """Return those of sensors `a` (k, N) [m/s²]; `roads`: each axle's `Nodes.accelerations`."""
+        """Return the sums of sensors `a` (k, N) [m/s²]; `roads`: `Nodes.accelerations` by axle."""
         # `mix` makes the innovations of the sensors independent and of variance 1, `white` makes
         # those of each independent over time: both act on readings and taps, which the filter makes
         # longer

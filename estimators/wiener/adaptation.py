@@ -139,9 +139,8 @@ def _responses(
 
 
 def _model_error_psd(dH: np.ndarray, covariance: np.ndarray, S: np.ndarray) -> np.ndarray:
-    """Return the spectrum (F, S, S) that uncertain parameters add to S signals, to first order:
-    sum over p, q of P_pq dH_p S dH_q*, from dH (P, F, S, 2), `covariance` (P, P) and the road's S
-    (F, 2, 2). It neglects that they depart equally at all frequencies.
+    """Return the spectrum (F, S, S) that uncertain parameters add, to first order: sum over p, q of
+    P_pq dH_p S dH_q*. It neglects that they depart equally at all frequencies.
     """
     root = np.linalg.cholesky(covariance)
     parts = np.tensordot(root.T, dH, axes=1)

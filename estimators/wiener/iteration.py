@@ -35,9 +35,8 @@ from road_envs.records.record import F_C, PROFILE_SPACING, scored_band
 
 
 class Iterate(NamedTuple):
-    """Result of a pass: lines of the wheel paths `z` (2, F) and of the struts' extension rates `w`
-    (4, F), density `error` (F, 2, 2) [m³] of the paths' errors; beside them its `model`, signals
-    `y` (S, M) [m/s²] and spectrum `noise` (F, S, S).
+    """Result of a pass: lines of wheel paths `z` (2, F) and struts' rates `w` (4, F), density
+    `error` (F, 2, 2) [m³] of z; its `model`, signals `y` (S, M) and spectrum `noise` (F, S, S).
     """
 
     z: np.ndarray
