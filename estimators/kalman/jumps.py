@@ -31,7 +31,7 @@ _MIN_INFORMATION = TUNING.min_information
 
 @kernel(inline=False)
 def _most_likely(score, information, reached, n_nodes):
-    """Return the likeliest candidate of `n_nodes` up to `reached` and its log likelihood ratio."""
+    """Return the likeliest candidate of `n_nodes` up to `reached`, and its log likelihood ratio."""
     best, most, m, prior = -1, 0.0, score.size, _JUMP_STD**2
     for c in range(m):
         ratio = prior * information[c, c]

@@ -125,7 +125,7 @@ class CalibratedFir(Settings):
         return self._identify(known, car) if known else self
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Return the likeliest road, its in-band std. Raises RecordError, NotFittedError."""
+        """Return the likeliest road and in-band deviation. Raises RecordError, NotFittedError."""
         model = require_fitted(self.fitted_state, self)
         record, notes = clean_record(record, None)
         odometer = calibrate_odometer(record)

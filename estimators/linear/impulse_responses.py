@@ -53,7 +53,7 @@ class RoadDrive(NamedTuple):
 
     @classmethod
     def of(cls, record: Record, profile: Profile, axles: np.ndarray) -> "RoadDrive":
-        """Return a drive over a `profile`, used where all `axles` (X,) [m] after the first are."""
+        """Return a drive over a `profile`, used where all `axles` (X,) [m] are on it."""
         t = sample_times(record)
         fine, s = fine_stations(record, t), np.interp(t, record.t, record.s)
         weights = acceleration_filter()
@@ -110,7 +110,7 @@ class IdentifiedResponses(NamedTuple):
     def identify(
         cls, drives: Sequence[RoadDrive], prior: np.ndarray | None = None
     ) -> "IdentifiedResponses":
-        """Identify vehicle and state; `prior` (k, axles, 2, N_TAPS): mean taps before, else 0."""
+        """Identify a vehicle in a state; `prior` (k, axles, 2, N_TAPS): mean taps, else 0."""
         k, shape = len(drives[0].a), (*drives[0].u.shape[:2], N_TAPS)
         mean = np.zeros((k, int(np.prod(shape)))) if prior is None else prior.reshape(k, -1)
         stacked = [(drive, _stack_delays(drive.u)) for drive in drives]
