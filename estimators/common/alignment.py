@@ -1,9 +1,8 @@
 """Alignment of two profiles of one road, whose stations come from different odometers.
 
-The slopes of roads are nearly white, so that unrelated ones seldom have a large correlation and the
-lag of equal ones is sharp. The correlation coefficient of the band-passed slopes, of both wheel
-paths together, is searched over lags, and over scales of the odometer; then a piecewise linear map
-of the stations follows the lag of each window along the road.
+The slopes of roads are nearly white: unrelated ones seldom have a large correlation and the lag of
+equal ones is sharp. That of the band-passed slopes, of both wheel paths together, is searched over
+lags and scales; then a piecewise linear map follows the lag of each window along the road.
 """
 
 from dataclasses import dataclass
@@ -20,26 +19,19 @@ _MIN_CORRELATION = 0.3  # correlation below which two profiles do not match, at 
 # number of independent values
 _CHANCE = 5.0
 _MAX_STRETCH = 0.015  # largest relative difference of two odometers
-# Largest distance [m] of equal stations at the ends of the overlap, between two scales
-_MISPLACEMENT = 0.1
-# Spacing [m] of the profiles in the search, a fifth of the shortest scored wave
-_SEARCH_SPACING = 0.1
+_MISPLACEMENT = 0.1  # largest distance [m] of equal stations, at the overlap's ends, of two scales
+_SEARCH_SPACING = 0.1  # [m] of the profiles in the search, a fifth of the shortest scored wave
 _WINDOW = 20.0  # length [m] of the windows in which the lag is refined, one every half window
 _REFINED = 0.4  # largest lag [m] of a window against the one before it, but for the uniform scale
-# Length [m] from the beginning on which lag and scale are searched; windows follow on
-_SEARCH_LENGTH = 300.0
+_SEARCH_LENGTH = 300.0  # length [m] from the beginning on which lag and scale are searched
 _MIN_WINDOW_CORRELATION = 0.5  # correlation of a window below which its lag is not used
-
-
 _Slopes = tuple[np.ndarray, np.ndarray]  # stations (K,) [m] and slopes (2, K) of the wheel paths
 
 
 @dataclass(frozen=True, eq=False)
 class StationMap:
-    """Piecewise linear map of stations to those of the reference.
-
-    `stations` (K,) [m], increasing, are mapped to `reference` (K,) [m]; beyond the ends the scale
-    is that of the nearest piece. `correlation` of the slopes in the band, at one lag and one scale.
+    """Piecewise linear map of `stations` (K,) [m], increasing, to `reference` (K,) [m], at the ends
+    of the nearest piece's scale; `correlation` of the slopes in the band, at one lag and one scale.
     """
 
     stations: np.ndarray
@@ -95,9 +87,8 @@ def map_stations(
 ) -> tuple[StationMap, bool]:
     """Map stations of the profile `other` (2, M) [m] to those of `reference` (2, N) [m].
 
-    Both begin at station 0, with points `ds` [m] apart, and are compared inside `band`
-    [cycles/m]. Return the map of largest correlation, and whether the profiles match. Raises
-    ValueError if less than MIN_OVERLAP would be common.
+    Both begin at station 0, with points `ds` [m] apart. Return the map of largest correlation in
+    `band` [cycles/m], and whether they match. Raises ValueError if less than MIN_OVERLAP is common.
     """
     first, second = (_slopes(z, ds, band) for z in (reference, other))
     shortest = min(np.ptp(x[0]) for x in (first, second))
@@ -197,10 +188,8 @@ def _peak(lags: np.ndarray, correlation: np.ndarray, i: int) -> float:
 def lag_correlations(
     reference: np.ndarray, other: np.ndarray, needed: int, start: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return lags (L,) and correlation coefficients (L,) of slopes (2, N) and (2, M).
-
-    At a lag k, sample i of `other` lies on sample i + k - `start` of `reference`. Only lags with at
-    least `needed` common samples are returned.
+    """Return lags (L,) and correlation coefficients (L,) of slopes (2, N) and (2, M), with `needed`
+    common samples at least. At a lag k, sample i of `other` lies on i + k - `start` of `reference`.
     """
     ones = np.ones_like(other)
 

@@ -3,10 +3,9 @@
 The models of the estimators drive straight ahead without pitching moments, so what a manoeuvre does
 to the struts is taken for road. Two signals show it: the measured speed, and the roll acceleration
 between two sensors of the body, left and right at one distance from the axles. Roads excite little
-roll between 0.2 and 0.9 Hz compared with that above, and, since their long waves are alike in both
-wheel paths, compared with heave; a turn that begins or ends rolls the body. Its steady part has no
-vertical acceleration: a beginning and an end close together are taken for one turn, and a turn that
-begins before the record is not seen.
+roll between 0.2 and 0.9 Hz, compared with that above and with heave; a turn that begins or ends
+rolls the body. Its steady part has no vertical acceleration: a beginning and an end close together
+are taken for one turn, and a turn that begins before the record is not seen.
 """
 
 from itertools import combinations
@@ -20,12 +19,9 @@ from road_envs.records.record import PROFILE_SPACING, Estimate, Record
 from road_envs.sensing.instruments import load_instruments
 
 _STANDING = 0.5  # speed [m/s] below which the vehicle stands
-# Longitudinal acceleration [m/s²], of either sign, from which on the body pitches markedly
-_HARD_CHANGE = 1.5
-# Standard deviation [s] of the window that smooths the speed before it is differentiated
-_SPEED_WINDOW = 0.5
-# Bands [Hz] of the roll that manoeuvres excite, and of that which roads excite
-_ROLL_BAND, _ROAD_BAND = (0.2, 0.9), (1.5, 6.0)
+_HARD_CHANGE = 1.5  # acceleration [m/s²], of either sign, from which on the body pitches markedly
+_SPEED_WINDOW = 0.5  # deviation [s] of the window that smooths the speed before its derivative
+_ROLL_BAND, _ROAD_BAND = (0.2, 0.9), (1.5, 6.0)  # [Hz] of roll by manoeuvres, and by roads
 # Slow roll acceleration [rad/s²] below which nothing is taken for a turn, and above which it is the
 # road's. The start of a record with biased sensors gives up to 0.2, turns of 0.2 g in ride 0.5 and
 # more, a road that twists 6 to 13.
@@ -39,25 +35,18 @@ _ROAD_RATIO, _HEAVE_RATIO, _FAR_RATIO = 1.4, 1.9, 3.5
 # Slow roll at the other end of a turn over that from which on one is found: friction and stiffer
 # springs make the release slower than the build-up
 _RELEASE = 0.5
-# Lateral distance [m] of the two sensors, and duration [s] of a record, below which no roll is
-# looked at
+# Distance [m] of the two sensors across, and duration [s], below which no roll is looked at
 _LEAST_DISTANCE, _LEAST_DURATION = 0.8, 8.0
 _LONGEST_TURN = 10.0  # longest time [s] between the slow rolls of one turn
 
 
 def mark_manoeuvres(estimate: Estimate, record: Record, wheelbase: float) -> Estimate:
-    """Return `estimate` with its `unsure` stations, a note on each stretch before the others, and
-    `z_std` raised there by the RMS of the waves below some metres, unless nothing is found.
-
-    `wheelbase` [m]: stations between both axles belong to a sample.
-    """
+    """Return `estimate` with stretches between both axles (`wheelbase` [m]) marked, with notes."""
     unsure, notes = np.zeros(estimate.s.size, dtype=bool), list[str]()
-    for during, what in (
-        (_turns(record), "turned"),
-        (_speed_changes(record), "braked or accelerated hard, or stood"),
-    ):
+    kinds = {"turned": _turns, "braked or accelerated hard, or stood": _speed_changes}
+    for what, find in kinds.items():
         marked = np.zeros(estimate.s.size, dtype=bool)
-        runs, count = label(during)
+        runs, count = label(find(record))
         for k in range(1, count + 1):
             s = record.s[runs == k]
             marked |= (estimate.s >= s.min() - wheelbase) & (estimate.s <= s.max())
@@ -105,9 +94,7 @@ def _speed_changes(record: Record) -> np.ndarray:
 
 
 def _roll_and_heave(record: Record) -> np.ndarray | None:
-    """Return the accelerations (2, N) [rad/s², m/s²] of the body's roll and of its middle between
-    two sensors; None if no two sensors tell the roll.
-    """
+    """Return accelerations (2, N) [rad/s², m/s²] of roll and heave; None if no two sensors tell."""
     layout = load_instruments("paper").layout if record.sensors is None else record.sensors
     if len(layout) != len(record.a) or record.t[-1] - record.t[0] < _LEAST_DURATION:
         return None

@@ -16,9 +16,8 @@ is known so far: with x = (1 + e) d the integral of v, and w the difference of t
 
 is linear in e' / L' and 1 / L', whose least squares follow from running sums. Where the fixes
 wander by themselves, as those of a receiver do, the stations are those of the speed, shifted and
-scaled to the fixes (`position_noise.py`), or, while a drive is recorded, shifted alone. (The scale
-factor of an odometer is a state of every navigation filter: Groves, "Principles of GNSS, Inertial,
-and Multisensor Integrated Navigation Systems", 2013, section 16.3.)
+scaled to the fixes (`position_noise.py`), or, while a drive is recorded, shifted alone. (Groves,
+"Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems", 2013, section 16.3.)
 """
 
 from dataclasses import replace
@@ -33,13 +32,10 @@ from estimators.common.position_noise import SPEED_STD, fit_wander, wanders
 from estimators.preprocessing import BACKWARD_MAX, JUMP_MAX
 from road_envs.records.record import DistanceScale, Estimate, Record, profile_stations
 
-# Least and greatest L [m] that is looked for; it must be passed within the record
-_LENGTHS = (0.5, 100.0)
+_LENGTHS = (0.5, 100.0)  # least and greatest L [m] looked for; it must be passed within the record
 _MAX_SPEED_ERROR = 0.1  # greatest relative error of a speed signal that is believed
 _MIN_DISPLACEMENT = 0.005  # displacement [m] below which nothing is corrected
-# Least ratio of the displacement to what the fit leaves, root mean square, or to its standard
-# deviation
-_CLEARNESS = 10.0
+_CLEARNESS = 10.0  # least ratio of the displacement to the RMS that a fit leaves, or its deviation
 # Distance [m] before which fixes are not said to wander, online, and least rms [m] from there on
 _MIN_WANDER_LENGTH, _ONLINE_WANDER = 10.0, 0.02
 WANDER_NOTE = (
@@ -68,8 +64,7 @@ class Odometer(NamedTuple):
 
 
 def calibrate_odometer(record: Record, causal: bool = False) -> Odometer:
-    """Calibrate stations and speed by the whole record, of a `causal` estimate each sample by those
-    before it alone.
+    """Calibrate stations and speed by the whole record, if `causal` each sample by those before it.
 
     A record is returned itself if it is empty, its signals are not finite, their difference shows
     no clear displacement, or, if causal, it goes backwards.
@@ -88,7 +83,6 @@ def calibrate_odometer(record: Record, causal: bool = False) -> Odometer:
 
 
 def _calibrate(record: Record) -> Odometer:
-    """Calibrate by the whole record."""
     unchanged = Odometer(record)
     travelled = cumulative_trapezoid(record.v, record.t, initial=0.0)
     slip = travelled - (record.s - record.s[0])
@@ -108,11 +102,8 @@ def _calibrate(record: Record) -> Odometer:
             error = float(np.clip(shape @ slip / (shape @ shape), -0.5, 0.5))
         return error, error * held, slip - error * shape
 
-    found = minimize_scalar(
-        lambda x: float(np.sum(fit(x)[2] ** 2)),
-        bounds=(np.log(_LENGTHS[0]), np.log(most)),
-        method="bounded",
-    )
+    bounds = np.log(_LENGTHS[0]), np.log(most)
+    found = minimize_scalar(lambda x: np.sum(fit(x)[2] ** 2), bounds=bounds, method="bounded")
     error, displacement, left = fit(found.x)
     greatest = float(np.abs(displacement).max())
     forward = np.maximum.accumulate(record.s)
@@ -125,9 +116,8 @@ def _calibrate(record: Record) -> Odometer:
         s = record.s[0] + offset + (1.0 + excess) * travelled
         followed = replace(record, s=s, v=(1.0 + excess) * record.v)
         return Odometer(followed, (WANDER_NOTE.format(std),), std, excess_std)
-    if abs(error) > _MAX_SPEED_ERROR or greatest < _MIN_DISPLACEMENT:
-        return unchanged
-    if greatest < _CLEARNESS * float(np.sqrt(np.mean(left**2))):
+    least = max(_MIN_DISPLACEMENT, _CLEARNESS * float(np.sqrt(np.mean(left**2))))
+    if abs(error) > _MAX_SPEED_ERROR or greatest < least:
         return unchanged
     corrected = replace(record, s=record.s - displacement, v=record.v / (1.0 + error))
     return Odometer(corrected, (_describe(error, displacement),))
@@ -194,9 +184,7 @@ def _calibrate_online(record: Record) -> Odometer:
 
 def to_true_distance(record: Record, estimate: Estimate) -> tuple[Record, Estimate]:
     """Return `record` and `estimate` with the stations and speed of the distance scale that the
-    estimate has found, and a note; as they are if it has found none.
-
-    The front axle is at the first sample where it was.
+    estimate has found, if any, from the first sample on, and a note.
     """
     if estimate.distance is None:
         return record, estimate

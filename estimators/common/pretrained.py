@@ -1,10 +1,9 @@
 """Estimators trained over distance for all speeds and modes, which can be corrected for a vehicle.
 
-The error of the trained estimator on a known road is regressed on the motions in a window, on the
-inputs of the last layer if it is a network, and on its estimate. The ridge draws the correction
-towards zero, that is towards the trained weights; it is chosen by cross-validation over fifths of
-the drives, and is infinite if no correction predicts any better. A correction is used in
-the state of the struts and near the speed at which it was found.
+The error on a known road is regressed on the motions in a window, on the inputs of the last layer
+of a network, and on the estimate. The ridge draws the correction towards zero; it is chosen by
+cross-validation over fifths of the drives, infinite if none predicts any better. A correction is
+used in the state of the struts and near the speed at which it was found.
 """
 
 import abc
@@ -37,8 +36,7 @@ from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 SPEED_RANGE = 1.35, 20.5  # lowest and highest speed [m/s] of the training drives
-# Stations of the FIR window before the estimated one, offline also after it: 12 m
-STATIONS_BEHIND = 80
+STATIONS_BEHIND = 80  # of the FIR window before the estimated one, offline also after it: 12 m
 # Stations ahead of the estimated one in a causal window; the filters use the rest of LAG
 STATIONS_AHEAD = int((LAG - 2.0 * FILTER_REACH) / SPACING)
 _STATION_MARGIN = 256  # stations read beyond either end of the road
@@ -47,11 +45,8 @@ _FOLDS = 5
 # Candidates, relative to the mean square of the features; infinite: no correction
 _RIDGES = np.append(10.0 ** np.arange(-4.0, 2.0), np.inf)
 _SPEED_RATIO = 1.15  # factor of the speed up to which a correction is used
-# Stations to either side in the window of motions: 6 m. A causal window ends with its lag.
-_CORRECTION_REACH = 40
-# Largest share of a road's mean square that cross-validation may leave; unrelated profiles leave
-# all of it
-_UNEXPLAINED_MAX = 0.97
+_CORRECTION_REACH = 40  # stations to either side in the window of motions; a causal one has its lag
+_UNEXPLAINED_MAX = 0.97  # largest share of a road's mean square that cross-validation may leave
 NOTE = "corrected by a calibration drive of this vehicle"
 
 
@@ -75,11 +70,9 @@ class TrainingExample(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """An `estimate` (2, M) of m and q [m], what corrections of it are computed from, the standard
-    deviation `std` (M,) [m] of both wheel paths if it is known, and notes.
-
-    Corrections are in the `unit` (M,) [m], motions in the `motion_unit` [m/s²], one or for each
-    station (M,); `hidden` (2, C, M) is what the last layer of a network multiplies.
+    """An `estimate` (2, M) of m and q [m], the standard deviation `std` (M,) [m] of both wheel
+    paths if it is known, and notes. Corrections are in the `unit` (M,) [m], motions in the
+    `motion_unit` [m/s²], one or (M,); `hidden` (2, C, M) is the input of a network's last layer.
     """
 
     estimate: np.ndarray
@@ -90,14 +83,12 @@ class Prediction(NamedTuple):
     notes: tuple[str, ...] = ()
 
     def features(self, signals: SpatialSignals, causal: bool) -> np.ndarray:
-        """Return the features (2, p, M) of a correction; the estimate's short waves are the last.
-
-        Those of m and of q are the same motions, since the vehicle's body may be asymmetric.
-        """
+        """Return features (2, p, M) of a correction, the estimate's short waves as the last."""
         ahead = STATIONS_AHEAD if causal else _CORRECTION_REACH
         windows = motion_windows(signals, _CORRECTION_REACH, ahead, causal)
         x = np.concatenate(list(windows), axis=1).T / self.motion_unit
         own = (keep_short_waves(self.estimate, causal) / self.unit)[:, None]
+        # m and q have the same motions, since the vehicle's body may be asymmetric
         return np.concatenate([self.hidden, np.array([x, x]), own], axis=1)
 
 
@@ -141,12 +132,12 @@ class SpatialEstimator(Settings, abc.ABC):
 
     @abc.abstractmethod
     def predictor(self, car: VehicleParameters) -> Predictor:
-        """Return what estimates a drive of the vehicle. Raises NotFittedError."""
+        """Return the function that estimates a drive of the vehicle. Raises NotFittedError."""
 
     def training_example(
         self, record: Record, truth: Profile, rigid: bool = True
     ) -> TrainingExample:
-        """Return what is kept of a drive for training. Raises RecordError."""
+        """Return the training example of a drive. Raises RecordError."""
         return TrainingExample.of(record, truth, self.causal, rigid)
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
@@ -177,9 +168,7 @@ class SpatialEstimator(Settings, abc.ABC):
         return odometer.describe(Estimate(stations, z, z_std, notes))
 
     def _fitted_or_pretrained(self) -> Any:
-        """Return the fitted state, or the one shipped for the default settings. Raises
-        NotFittedError.
-        """
+        """Return the state fitted, or shipped for the default settings. Raises NotFittedError."""
         if self.fitted_state is not None:
             return self.fitted_state
         weights = load_pretrained(self.name) if self == type(self)() else None
@@ -208,42 +197,41 @@ def fit_corrections(
     drives: Sequence[CalibrationDrive], causal: bool, predict: Predictor
 ) -> tuple[VehicleCorrection, ...]:
     """Fit a correction of what `predict` returns to the measured roads of each condition among the
-    `drives`, by the short waves of its errors.
-
-    Corrections that cross-validation does not find better than none are left out. Raises
-    RecordError, CalibrationError.
+    `drives`, by the short waves of its errors; of each that cross-validation finds better than
+    none. Raises RecordError, CalibrationError.
     """
     found: list[VehicleCorrection] = []
-    groups: dict[bytes, list[tuple[TrainingExample, CalibrationDrive]]] = {}
+    groups: dict[bytes, list[tuple[TrainingExample, str, Profile]]] = {}
     for drive in drives:
         if drive.profile is not None:
             record = calibrate_odometer(drive.record, causal).record
             example = TrainingExample.of(record, drive.profile, causal)
             step = np.round(np.log(example.signals.speed) / np.log(_SPEED_RATIO))
             key = np.append(example.signals.state, step).tobytes()
-            groups.setdefault(key, []).append((example, drive))
+            groups.setdefault(key, []).append((example, drive.name, drive.profile))
     for group in groups.values():
         sums, power = list[list[LeastSquaresSums]](), 0.0
-        for (signals, target, _), drive in group:
+        for (signals, target, _), _, profile in group:
             prediction = predict(signals)
             x, unit = prediction.features(signals, causal), prediction.unit
             error = keep_short_waves(target - prediction.estimate, causal) / unit
-            assert drive.profile is not None
+            # only stations of the measured road count; EDGE_STATIONS of them lie before station 0
             s = SPACING * (np.arange(unit.size) - EDGE_STATIONS)
-            inside = np.flatnonzero((s > drive.profile.s[0]) & (s < drive.profile.s[-1]))
+            inside = np.flatnonzero((s > profile.s[0]) & (s < profile.s[-1]))
             short = keep_short_waves(target.astype(float), causal) / unit
             power += float(np.sum(short[:, inside] ** 2))
+            # sums[row][k]: row m or q, fold k, a fifth of the stations of every drive
             sums = sums or [[LeastSquaresSums.zeros(x.shape[1], 1)] * _FOLDS for _ in x]
             for row, folds in enumerate(sums):
                 for k, part in enumerate(np.array_split(inside, _FOLDS)):
                     new = LeastSquaresSums.from_samples(x[row][:, part].T, error[row][part, None])
                     folds[k] = folds[k].plus(new)
-        speed = float(np.mean([example.signals.speed for example, _ in group]))
+        speed = float(np.mean([example.signals.speed for example, _, _ in group]))
         chosen = [cross_validate(folds, _RIDGES) for folds in sums]
         coefficients = np.array([each[:, 0] for _, each, _ in chosen])
         if sum(left for _, _, left in chosen) > _UNEXPLAINED_MAX * power:
             raise CalibrationError(
-                f"{group[0][1].name}: a correction finds nothing of the profile in the drive; it "
+                f"{group[0][1]}: a correction finds nothing of the profile in the drive; it "
                 "is of another road or lane, reversed, displaced or in other units, or the "
                 "vehicle is too unlike that of the training (calibrated_fir knows none)"
             )

@@ -5,13 +5,13 @@ at times that need not be even,
 
     y_k = (h * a)(t_k),      h: causal Butterworth filter of ANTIALIAS_ORDER
 
-A filter whose corner is far above the block means only delays them (`model_inputs`). One of 40 Hz,
-as of a phone, also weakens them and keeps waves out that would be aliased.
+A corner far above the block means only delays them (`model_inputs`). One of 40 Hz, as of a phone,
+also weakens them and keeps waves out that would be aliased.
 
 The tangent of a drive is in means of the acceleration over groups of steps (`block_tangent`), since
-one matrix for each step would be slow. `SampledFilter.apply` predicts the samples from these means:
-in the frequency domain it divides by the response of the mean and multiplies by that of the filter,
-and interpolates at t_k. That is exact for signals below half the rate of the means.
+one matrix for each step would be slow. `SampledFilter.apply` predicts the samples from them: in the
+frequency domain it divides by the response of the mean, multiplies by that of the filter, and
+interpolates at t_k. That is exact for signals below half the rate of the means.
 """
 
 from dataclasses import dataclass
@@ -31,10 +31,8 @@ _F_EXCITED, _DELAY_LOSS = 100.0, 1e-3
 # Rate of the groups of steps, over the highest frequency that samples or block means contain: the
 # tangent of a phone then errs by 1 %, with a ratio of 4 by 3 %
 _GROUP_RATE_RATIO = 6.0
-# Periods of the corner after which the filter has forgotten its input: to 1e-6
-_MEMORY_PERIODS = 8.0
-# Points of the Lagrange interpolation among means of groups, or among steps of the model
-_POINTS = 8
+_MEMORY_PERIODS = 8.0  # of the corner, after which the filter has forgotten its input: to 1e-6
+_POINTS = 8  # of the Lagrange interpolation among means of groups, or among steps of the model
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,9 +128,7 @@ class SampledFilter:
 
 
 def _lagrange_weights(at: np.ndarray, size: int, points: int) -> csr_array:
-    """Return the weights (T, `size`) of even samples in the value at `at` (T,), in units of their
-    spacing, of the polynomial through the nearest `points`.
-    """
+    """Return weights (T, `size`) of even samples in the polynomial's value at `at` (T,) of them."""
     points = min(points, size)
     first = np.clip(np.floor(at).astype(int) - points // 2 + 1, 0, size - points)
     node = np.arange(points)

@@ -17,12 +17,11 @@ Heights are emitted relative to their long waves (`profile_output.py`).
     kalman_rts   emitted after the whole drive (`smoother.py`)
 
 The measurements are means over 3 ms of the raw samples. Lost samples are left out; a clipped one is
-a limit. The nodes of the lag are held, so the cost grows with its square beyond some 10 m.
-
-The standard deviation follows the innovations of the metres about a station, and heights no larger
-than it are reduced (`monitoring.py`). Where the innovations are far beyond their covariance for
-long, heights are emitted reduced, with wide intervals and a note. Where no obstacle explains it,
-the filter has lost the vehicle and begins anew, as in the middle of a road (`forward.py`).
+a limit. The nodes of the lag are held, so the cost grows with its square beyond some 10 m. The
+standard deviation follows the innovations of the metres about a station, and heights no larger than
+it are reduced (`monitoring.py`). Where the innovations are far beyond their covariance for long,
+heights are emitted reduced, with wide intervals and a note. Where no obstacle explains it, the
+filter has lost the vehicle and begins anew, as in the middle of a road (`forward.py`).
 
 Known to fail: on a vehicle other than the one described (on a field vehicle S2 that was not
 identified the error is nearly that of a flat road), as the filter corrects the road and not the
@@ -47,27 +46,13 @@ from estimators.common.explained import reduce_unexplained, trusted_share, untru
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
 from estimators.common.odometer import calibrate_odometer
 from estimators.kalman import monitoring, pipeline
-from estimators.kalman.filtered import FilterRun
-from estimators.kalman.profile_output import ProfileOutput
-from estimators.kalman.state import N_BIAS, NOISE_SCALE, ROUGHNESS_SCALE
+from estimators.kalman.state import N_BIAS, NOISE_SCALE
 from estimators.kalman.tuning import TUNING
 from estimators.map_smoother.identified_vehicle import CalibratedByIdentification
-from estimators.preprocessing import (
-    ANTIALIAS_SPREAD,
-    SPEED_MIN,
-    RecordError,
-    clipped_signs,
-    mask_record,
-)
+from estimators.preprocessing import ANTIALIAS_SPREAD, RecordError, clipped_signs, mask_record
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.core.config import Positive
-from road_envs.records.record import (
-    PROFILE_SPACING,
-    Estimate,
-    Record,
-    profile_stations,
-    scored_band,
-)
+from road_envs.records.record import PROFILE_SPACING, Estimate, Record, profile_stations
 from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import instruments_of, on_axle
 from road_envs.vehicle.parameters import VehicleParameters
@@ -88,7 +73,6 @@ class _KalmanSettings(CalibratedByIdentification):
     data_rate: Annotated[Positive, "Hz", "of the block means"] = 1000.0 / 3.0
     step: Annotated[Positive, "s", "longest step of the model"] = 0.001
     causal: ClassVar[bool]
-
     level_ends: bool = True
     std_factor: _StdFactor = 1.0
 
@@ -151,11 +135,10 @@ class _KalmanSettings(CalibratedByIdentification):
             )
         s, front = profile_stations(record.length), run.known_front(sensor_latency)
         z, emitted = output.z.T.copy(), run.emitted_share(output)
-        z_std = self.std_factor * _output_std(run, output, record, prior)
+        z_std = self.std_factor * pipeline.output_std(run, output, record, prior)
         if smooth or lag >= LAG:  # both axles have passed
-            z_std *= np.sqrt(
-                monitoring.local_nis(run.state.nis, front, s, np.inf if smooth else lag)
-            )
+            late = np.inf if smooth else lag
+            z_std *= np.sqrt(monitoring.local_nis(run.state.nis, front, s, late))
             z = monitoring.reduce_uncertain(z, z_std, ahead, drifting=smooth)
             steps = run.state.jumps.square
             nodes = run.origin + TUNING.node_spacing * np.arange(len(steps))
@@ -176,24 +159,10 @@ class _KalmanSettings(CalibratedByIdentification):
                 f"over {length:.0f} m the innovations are far beyond their covariance; the heights "
                 "are reduced there",
             )
-        lost = run.lost_before_restarts(output)
-        share = np.where(lost, 0.0, share)
+        share = np.where(run.lost_before_restarts(output), 0.0, share)
         reduced, std = reduce_unexplained(z - long, z_std, share)
         heights = reduced + monitoring.reduce_slope(long, share)
         return odometer.describe(Estimate(s, heights, std, notes))
-
-
-def _output_std(
-    run: FilterRun, output: ProfileOutput, record: Record, prior: RoadPrior
-) -> np.ndarray:
-    """Return in-band standard deviations (2, M) [m]; the prior's where no wheel has been."""
-    n = np.linspace(*scored_band(float(np.clip(record.v.mean(), SPEED_MIN, 100.0))), 400)
-    s, variance = profile_stations(record.length), np.maximum(output.variance.T, 0.0)
-    # before the record nothing was known of the roughness but the prior
-    scale = np.where(s < record.s[0], 1.0, run.state.adaptive[ROUGHNESS_SCALE])
-    prior_variance = scale * np.trapezoid(prior.density(n), n)
-    unseen = (s < record.s[0]) | (s > record.s[-1])
-    return np.sqrt(np.where(unseen, np.maximum(variance, prior_variance), variance))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +170,6 @@ class Kalman(_KalmanSettings):
     """Extended Kalman filter that emits a station when the front axle is `lag` [m] past it."""
 
     causal: ClassVar[bool] = True
-
     lag: _Lag = 0.0
     std_factor: _StdFactor = 1.5
 
@@ -219,5 +187,4 @@ class KalmanRts(_KalmanSettings):
     """Extended Kalman filter and Rauch-Tung-Striebel smoother of the whole drive."""
 
     causal: ClassVar[bool] = False
-
     std_factor: _StdFactor = 0.85

@@ -1,6 +1,4 @@
-"""Course of an estimate: setup of the run from a record, then the filter (`forward.py`) over all
-windows or, in chunks of bounded memory, filter and smoother (`smoother.py`).
-"""
+"""Setup of a run from a record; then the filter over all windows, or filter and smoother."""
 
 from dataclasses import replace
 
@@ -17,9 +15,10 @@ from estimators.kalman.jumps import RoadJumps
 from estimators.kalman.profile_output import ProfileOutput, fill_weights
 from estimators.kalman.road_process import ARModel, RoadProcess
 from estimators.kalman.smoother import smooth_backward
-from estimators.kalman.state import N_BIAS, FilterInputs, FilterModel
+from estimators.kalman.state import N_BIAS, ROUGHNESS_SCALE, FilterInputs, FilterModel
 from estimators.kalman.tuning import TUNING
 from estimators.kalman.windows import WindowSchedule
+from estimators.preprocessing import SPEED_MIN
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.record import F_C, Record, profile_stations, scored_band
 from road_envs.sensing.instruments import Instruments
@@ -42,9 +41,8 @@ def setup_run(
     level_ends: bool,
     lag: float,
 ) -> FilterRun:
-    """Return the run of a record before its first block, for stations that are emitted when the
-    front axle is `lag` [m] past them. `noise_variance` [(m/s²)²] of a sample; with `level_ends`
-    the road is level before station 0 and after its end. Raises ValueError if the odometer jumps.
+    """Return the run of a record before its first block. `noise_variance` [(m/s²)²] of a sample;
+    `level_ends`: of the road; `lag` [m] of `FilterRun`. Raises ValueError if the odometer jumps.
     """
     steps_per_block = measurements.sample_weight.shape[2] * model_inputs.decimation
     s, half_steps = model_inputs.s, 2 * steps_per_block
@@ -54,8 +52,7 @@ def setup_run(
             f"the odometer jumps by {moved:.2f} m within {steps_per_block * model_inputs.h:.3g} s; "
             f"at most {most:.2f} m are allowed: cut the record at the jump or correct s"
         )
-    behind = car.wheelbase + TUNING.initial_length
-    ds = TUNING.node_spacing
+    behind, ds = car.wheelbase + TUNING.initial_length, TUNING.node_spacing
     origin = float(s[0]) - ds * np.ceil(behind / ds)  # a node at the start
     ends = np.array([0.0, record.length]) if level_ends else np.array([-np.inf, np.inf])
     means = measurements.y, measurements.sample_count, measurements.censored_blocks
@@ -81,9 +78,7 @@ def setup_run(
         increment_variance=ar_model.increment_variance(increment_span),
         roughness_memory=TUNING.roughness_length / ds,
     )
-    level = level_ends and record.s[0] <= 0.0
-    nodes = int(windows.newest[-1]) + 1
-    jumps = RoadJumps.none(TUNING.window_length, nodes, ds)
+    jumps = RoadJumps.none(TUNING.window_length, int(windows.newest[-1]) + 1, ds)
     motion, blocks = rest_state(car, model_inputs), measurements.y.shape[1]
     entries = [motion.size // 2, road.n_vehicle - motion.size // 2]
     biases = np.full(N_BIAS, TUNING.bias_std)
@@ -94,7 +89,8 @@ def setup_run(
     unknown = UnknownState(vehicle, moving, ar_model.node_covariance(road.n_nodes))
     level_start = replace(unknown, std=at_rest, nodes=np.zeros_like(unknown.nodes))
     weight = TUNING.roughness_length / ds  # that of a stationary average
-    P = (level_start if level else unknown).covariance(road, windows.initial, 1.0)
+    start = level_start if level_ends and record.s[0] <= 0.0 else unknown
+    P = start.covariance(road, windows.initial, 1.0)
     state = FilterState(
         x=np.pad(vehicle, (0, road.n_states - vehicle.size)),
         P=np.pad(P, ((0, 0), (0, jumps.score.size))),
@@ -116,7 +112,6 @@ def _build_model(
     steps_per_block: int,
     noise_variance: float,
 ) -> FilterModel:
-    """Return a run's constants; `noise_variance` [(m/s²)²] of a sample."""
     one, locations = build_plant(car), instruments.locations(car)
     line, bending = linearise(one, "ride", locations), sensed_bending(car, locations)
     # a constant force over so short a time as a block moves the vehicle like free masses
@@ -160,9 +155,9 @@ def _build_model(
 def setup_output(
     run: FilterRun, record: Record, sensor_latency: float, detrended: bool
 ) -> ProfileOutput:
-    """Return the stations of a record, with the block before which each is emitted: once the front
-    axle is the run's lag past the station and another `sensor_latency` [s] has been recorded. Where
-    the rear axle has passed it then, it is emitted at the last edge of a window before that.
+    """Return the stations of a record. Each is emitted once the front axle is the run's lag past it
+    and another `sensor_latency` [s] has been recorded; where the rear axle has passed it then, at
+    the last edge of a window before that.
     """
     s, lag = profile_stations(record.length), run.lag
     node = (s - run.origin) / TUNING.node_spacing
@@ -184,6 +179,19 @@ def setup_output(
         z=np.zeros((s.size, 2)),
         variance=np.zeros((s.size, 2)),
     )
+
+
+def output_std(
+    run: FilterRun, output: ProfileOutput, record: Record, prior: RoadPrior
+) -> np.ndarray:
+    """Return in-band standard deviations (2, M) [m]; the prior's where no wheel has been."""
+    n = np.linspace(*scored_band(float(np.clip(record.v.mean(), SPEED_MIN, 100.0))), 400)
+    s, variance = profile_stations(record.length), np.maximum(output.variance.T, 0.0)
+    # before the record nothing was known of the roughness but the prior
+    scale = np.where(s < record.s[0], 1.0, run.state.adaptive[ROUGHNESS_SCALE])
+    prior_variance = scale * np.trapezoid(prior.density(n), n)
+    unseen = (s < record.s[0]) | (s > record.s[-1])
+    return np.sqrt(np.where(unseen, np.maximum(variance, prior_variance), variance))
 
 
 def run_filter(run: FilterRun, output: ProfileOutput) -> None:

@@ -1,10 +1,9 @@
 """Prior of the road ahead of the newest node, and online estimation of its roughness.
 
-Each new coefficient of the mean and of the half difference of the wheel paths follows an
-autoregressive model, by the Yule-Walker equations for the covariance of the prior's spectrum
-(`estimators.common.road_prior`). The mean is not stationary, so its increments are predicted. The
-half difference of an isotropic surface is level for waves longer than the track, so it is predicted
-itself.
+New coefficients of mean and half difference of the wheel paths follow autoregressive models, by the
+Yule-Walker equations for the prior's spectrum (`estimators.common.road_prior`). The mean is not
+stationary, so its increments are predicted; the half difference of an isotropic surface is level
+for waves longer than the track, so it is predicted itself.
 """
 
 from typing import NamedTuple
@@ -24,8 +23,7 @@ _DECAY = TUNING.decay
 
 class ARModel(NamedTuple):
     """Autoregressive models of mean and half difference: `weights` (2, order) of the last nodes,
-    newest first; `prediction_variance` (2,) [m²]; `covariance` (2, M) [m²] at lags of 0 to M - 1
-    nodes.
+    newest first; `prediction_variance` (2,) [m²]; `covariance` (2, M) [m²] at lags of 0 to M - 1.
     """
 
     weights: np.ndarray
@@ -68,13 +66,10 @@ def _yule_walker(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]
 
 
 class RoadProcess(NamedTuple):
-    """The road's model in a state vector of `n_vehicle` states and `n_nodes` nodes.
-
-    Weights (2, order) of the last nodes in the next one, mean and half difference, and its
-    `prediction_variance` (2,) [m²] for a roughness scale of 1; outside the node numbers
+    """The road's model in a state vector of `n_vehicle` states and `n_nodes` nodes: `weights` and
+    `prediction_variance` of `ARModel` for a roughness scale of 1; outside the node numbers
     `free_range` (2,) the road goes on level. The span [nodes] of the increments from which
-    roughness is estimated, their variance (2,) [m²], and the number of nodes over which it is
-    averaged, `roughness_memory`.
+    roughness is estimated, their variance (2,) [m²], and the nodes over which it is averaged.
     """
 
     n_vehicle: int
@@ -106,23 +101,16 @@ class RoadProcess(NamedTuple):
         return ((self.first_node + 2 * (nodes % self.n_nodes))[:, None] + np.arange(2)).ravel()
 
     def update_roughness(
-        self,
-        x: np.ndarray,
-        P: np.ndarray,
-        adaptive: np.ndarray,
-        square: np.ndarray,
-        passed: range,
+        self, x: np.ndarray, P: np.ndarray, adaptive: np.ndarray, jumps: np.ndarray, passed: range
     ) -> None:
         """Update the roughness scale by the increments up to each node of `passed`; one with an
-        accepted step in `square` (N, 2) is none of the prior.
-
-        One step of expectation maximization: the expected square is the squared mean plus the
-        variance.
+        accepted step in `jumps` (N, 2) is none of the prior. One step of expectation maximization:
+        the expected square is the squared mean plus the variance.
         """
         span = self.increment_span
         kept = 1.0 - 0.5 / self.roughness_memory  # half a node: there are two components
         for node in passed:
-            if square[node - span - 1 : node + 2].any():
+            if jumps[node - span - 1 : node + 2].any():
                 continue
             for a, b in self.node_entries(np.array([node, node - span])).reshape(2, 2).T:
                 increment = (x[a] - x[b]) ** 2 + P[a, a] + P[b, b] - 2.0 * P[a, b]
@@ -148,9 +136,8 @@ def _is_free(road: RoadProcess, newest):
 
 @kernel(inline=False)
 def _node_law(road: RoadProcess, newest):
-    """Return the step x' = F x + e of the state vector by which the next node replaces the oldest.
-    It changes the `entries` (6,), the retired-node sums and the node's mean and half difference:
-    each is the sum of its `sources` (6, order), entries of x, times the `factors` (6, order).
+    """Return the step x' = F x + e by which the next node replaces the oldest: `entries` (6,), sums
+    and node, as the sums of `sources` (6, order), entries of x, times `factors` (6, order).
     """
     order, first = road.weights.shape[1], road.n_vehicle + N_BIAS
     entries, sources = np.empty(6, dtype=np.int64), np.zeros((6, order), dtype=np.int64)
@@ -181,6 +168,8 @@ def add_node(road: RoadProcess, x, P, newest, scale):
     """
     entries, sources, factors = _node_law(road, newest)
     mean, rows, n = np.zeros(6), np.zeros((6, P.shape[1])), x.size
+    # with the six rows of F that are not those of the identity: `rows` F P, and `corner` F P F' + Q
+    # among the changed entries. All is read before any of it is written
     for e in range(6):
         for k in range(factors.shape[1]):
             if factors[e, k] != 0.0:
@@ -198,7 +187,7 @@ def add_node(road: RoadProcess, x, P, newest, scale):
     for e in range(6):
         for i in range(6):
             P[entries[i], entries[e]] = corner[i, e]
-    for side in range(2):
+    for side in range(2):  # a unit step of one path is half a one of mean and of half difference
         candidate = n + (2 * (newest + 1) + side) % (P.shape[1] - n)
         P[:, candidate] = 0.0
         P[entries[4], candidate] = 0.5 * free

@@ -1,6 +1,7 @@
 """Checks that drives over known profiles determine the responses of a vehicle."""
 
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 
@@ -8,9 +9,7 @@ from estimators.api import CalibrationDrive, CalibrationError
 from estimators.linear.impulse_responses import F_BODY, RATE, IdentifiedResponses, RoadDrive
 from road_envs.records.record import F_C, Profile
 
-# Shortest distance [m] that is of use, of all drives in one state together: five of the longest
-# waves of the scored band
-_LENGTH_MIN = 25.0
+_LENGTH_MIN = 25.0  # shortest distance [m] in one state: five of the longest scored waves
 # Least number of independent frequencies in the road's acceleration, of each wheel path and of
 # their difference. A tenth of what 100 m of an ISO 8608 road have; a sine has one or two.
 _FREQUENCIES_MIN = 30.0
@@ -20,15 +19,13 @@ _EXPLAINED_MIN = 0.3
 # Gain of all wheels together on long waves: a vehicle moves as its road does, whatever it is.
 # Drives over 100 m to 1 km give 0.8 to 1.7; accelerations in g divide it by 10.
 _GAIN_RANGE = (0.3, 4.0)
-# Shifts [m] of the profile that are tried to say what is wrong with it
-_SEARCHED = np.arange(-10.0, 10.5, 0.5)
+_SEARCHED = np.arange(-10.0, 10.5, 0.5)  # shifts [m] of a profile tried to say what is wrong
 
 
 def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) -> None:
     """Raise CalibrationError if drives are too short or their roads have too few frequencies."""
-    used = [each.segment >= 0 for each in data]
+    pairs = [(each, each.segment >= 0) for each in data]
     names = drives[0].name if len(drives) == 1 else f"the {len(drives)} drives in this state"
-    pairs = zip(data, used, strict=True)
     length = sum(float(np.ptp(each.s[here])) for each, here in pairs if here.any())
     if length < _LENGTH_MIN:
         raise CalibrationError(
@@ -36,7 +33,7 @@ def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) 
             f"{_LENGTH_MIN:.0f} m are needed: check where the profile begins, or drive over a "
             "longer one"
         )
-    parts = [each.u[0][:, here] for each, here in zip(data, used, strict=True) if here.sum() > 1]
+    parts = [each.u[0][:, here] for each, here in pairs if here.sum() > 1]
     motions = {
         "the left wheel path": [u[0] for u in parts],
         "the right wheel path": [u[1] for u in parts],
@@ -53,9 +50,8 @@ def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) 
 
 
 def _independent_frequencies(u: np.ndarray) -> float:
-    """Return the number of independent frequencies of a road acceleration (N,) between F_BODY and
-    F_C: (sum of powers)² over the sum of their squares, of its spectral lines. The rate of the
-    height is taken, which is white on a road with a waviness of 2.
+    """Return the number of independent frequencies of a road acceleration (N,) in F_BODY to F_C:
+    (sum of powers)² over the sum of squares, of the height's rate, white for a waviness of 2.
     """
     f = np.fft.rfftfreq(u.size, 1.0 / RATE)
     inside = (f > F_BODY) & (f < F_C)
@@ -86,9 +82,8 @@ def check_responses(
 
 
 def _reason(drive: CalibrationDrive, axles: np.ndarray) -> str:
-    """Return what would make the profile fit, as the end of a sentence."""
-    profile = drive.profile
-    assert profile is not None
+    """Return the change that would make the profile fit, as the end of a sentence."""
+    profile = cast(Profile, drive.profile)
     tried = {"the profile is reversed": Profile(profile.s, profile.z[::-1, ::-1])}
     for shift in _SEARCHED:
         name = f"the profile lies {shift:+.1f} m from where the drive says"

@@ -10,9 +10,9 @@ squares with the penalty
 
     mean square of the regressors x (ridge x sum(taps²) + smoothness x sum(difference of knots²))
 
-The smoothness term regularises knots with few drives. A high-pass suppresses errors below
-0.15 cycles/m: such waves are most of a road's height but lie outside the scored band. A combination
-without a drive takes the taps of the one that differs in the fewest states.
+The smoothness regularises knots with few drives. A high-pass suppresses errors below 0.15 cycles/m,
+most of a road's height but outside the scored band. A combination without a drive takes the taps of
+the one that differs in the fewest states.
 """
 
 from collections.abc import Sequence
@@ -24,26 +24,22 @@ from scipy.linalg import solveh_banded
 from estimators.common.blas import single_blas_thread
 from estimators.common.pretrained import SPEED_RANGE
 from estimators.common.spatial_signals import (
+    LEVEL_MIN,
     N_MOTIONS,
     SpatialSignals,
     keep_short_waves,
     motion_windows,
 )
 
-# Speeds [m/s] of the taps; outside, the taps of the first or last knot hold
-KNOTS = np.geomspace(*SPEED_RANGE, 9)
-# States of front spring, front damper, rear spring and rear damper; the first is bit 3
-_N_STATE_COMBINATIONS = 16
+KNOTS = np.geomspace(*SPEED_RANGE, 9)  # speeds [m/s]; outside, the taps of the first or last hold
+_N_STATE_COMBINATIONS = 16  # of spring and damper in front (bits 3 and 2), then at the rear
 RIDGE = 1e-4
 SMOOTHNESS = 1e-4
-_LEVEL_MIN = 3e-4  # added to a drive's level [m], so that noise on a smooth road does not dominate
 _MM = 1e-3  # unit of the heights [m]: taps are stored as float16 for heights in mm
 
 
 class FirBank(NamedTuple):
-    """`taps` (16, knots, 3, behind + 1 + ahead) [mm s²/m] of front, rear and roll; the last station
-    used is `ahead` of the estimated one.
-    """
+    """`taps` (16, knots, 3, behind + 1 + ahead) [mm s²/m], the last `ahead` of the station."""
 
     taps: np.ndarray
     ahead: int
@@ -61,27 +57,24 @@ class FirBank(NamedTuple):
         behind: int,
         ahead: int,
     ) -> "FirBank":
-        """Fit the taps to drives with targets m and q (2, M) [m]. A drive counts for its mean speed
-        and for the state combination that prevails in it.
-        """
-        drives: dict[int, list[int]] = {}
-        for i, signals in enumerate(all_signals):
-            drives.setdefault(int(signals.state @ [8, 4, 2, 1]), []).append(i)
+        """Fit taps to m and q (2, M) [m] of drives, of their mean speed and prevailing states."""
+        groups: dict[int, list[tuple[SpatialSignals, np.ndarray]]] = {}
+        for drive in zip(all_signals, targets, strict=True):
+            groups.setdefault(int(drive[0].state @ [8, 4, 2, 1]), []).append(drive)
         taps = np.zeros(cls.shape(behind, ahead), dtype=np.float16)
-        for combination, indices in drives.items():
+        for combination, group in groups.items():
             sums = [_KnotNormalEquations.zeros(k * taps.shape[-1]) for k in (2, 1)]
-            for i in indices:
-                signals = all_signals[i]
+            for signals, heights in group:
                 front, rear, roll = motion_windows(signals, behind, ahead)
-                z = keep_short_waves(targets[i])
-                scale = 1.0 / (_LEVEL_MIN + np.sqrt(np.mean(z**2)))
+                z = keep_short_waves(heights)
+                scale = 1.0 / (LEVEL_MIN + np.sqrt(np.mean(z**2)))
                 centre_line = np.concatenate([front, rear], axis=1)
                 for part, X, target in zip(sums, (centre_line, roll), z, strict=True):
                     part.add(scale * X, scale * target, signals.speed)
             solution = np.concatenate([part.solve() for part in sums], axis=1)
             taps[combination] = (solution / _MM).reshape(taps.shape[1:])
-        for combination in set(range(_N_STATE_COMBINATIONS)) - drives.keys():
-            nearest = min(drives, key=lambda other: ((combination ^ other).bit_count(), other))
+        for combination in set(range(_N_STATE_COMBINATIONS)) - groups.keys():
+            nearest = min(groups, key=lambda other: ((combination ^ other).bit_count(), other))
             taps[combination] = taps[nearest]
         return cls(taps, ahead)
 
@@ -113,9 +106,7 @@ class FirBank(NamedTuple):
 
 
 class _KnotNormalEquations(NamedTuple):
-    """Normal equations of all knots: blocks X'X (knots, p, p) of each knot with itself and with the
-    next, and X'Z (knots, p).
-    """
+    """Blocks X'X (knots, p, p) of each knot with itself and with the next, and X'Z (knots, p)."""
 
     diagonal: np.ndarray
     off_diagonal: np.ndarray

@@ -9,10 +9,9 @@ dampers and masses, do not.
 
 The taps have a Gaussian prior with the covariance c lambda^max(i, i'), of smooth and decaying
 responses (the "TC kernel" of Chen, Ohlsson & Ljung, Automatica 48, 2012). Scale c, decay lambda and
-noise of each sensor are those of the largest marginal likelihood. The residual e holds friction and
-other nonlinearities beside the sensors' noise. It is modelled as autoregressive, equally for all
-sensors, with correlated innovations, and the taps are fitted again to signals whitened by this
-model.
+noise of each sensor are those of the largest marginal likelihood. The residual e, friction beside
+the sensors' noise, is modelled as autoregressive, equally for all sensors, with correlated
+innovations, and the taps are fitted again to signals whitened by this model.
 """
 
 from collections.abc import Sequence
@@ -30,26 +29,21 @@ from road_envs.kernels.filters import preprocess_accelerations
 from road_envs.records.record import F_C, Profile, Record
 
 RATE = 62.5  # rate [Hz] of signals and taps, 2.5 times the bandwidth F_C
-# Instants per sample at which the road under an axle is read, before its low-pass
-OVERSAMPLING = 8
-# Frequency [Hz] from which the low-pass of the road's acceleration leaves nothing
-_STOP_FREQUENCY = 36.0
-# Duration of the responses [s]: bounce at 1.2 Hz with a damping ratio of 0.25 has then fallen to
-# a tenth
-MEMORY = 1.2
+OVERSAMPLING = 8  # instants per sample at which the road under an axle is read, before its low-pass
+_STOP_FREQUENCY = 36.0  # [Hz] from which the low-pass of the road's acceleration leaves nothing
+MEMORY = 1.2  # [s] of the responses: to a tenth, of bounce at 1.2 Hz with a damping ratio of 0.25
 N_TAPS = int(MEMORY * RATE)
 AR_ORDER = 12
 _SEGMENTS = 5  # parts of each drive; every one is predicted from the others
-# Frequency [Hz] below which accelerometers measure offset and drift rather than the road
-F_BODY = 0.5
+F_BODY = 0.5  # [Hz] below which accelerometers measure offset and drift rather than the road
 # First guess of log c, logit lambda, and log of the noise's share in a sensor's power
 _START = (np.log(0.01), np.log(13.0), np.log(0.1))
+_DriveData = tuple[np.ndarray, np.ndarray, np.ndarray]  # regressors (N, p), a (k, N), segment (N,)
 
 
 class RoadDrive(NamedTuple):
-    """Sensors `a` (k, N) [m/s²], road accelerations `u` (axles, 2, N) [m/s²] and stations `s` (N,)
-    [m] of the first axle in a drive, and the `segment` (N,) of each sample, -1 where it is not
-    used.
+    """Sensors `a` (k, N) [m/s²], road accelerations `u` (axles, 2, N) [m/s²], stations `s` (N,) [m]
+    of the first axle in a drive, and the `segment` (N,) of each sample, -1 where it is not used.
     """
 
     a: np.ndarray
@@ -59,20 +53,13 @@ class RoadDrive(NamedTuple):
 
     @classmethod
     def of(cls, record: Record, profile: Profile, axles: np.ndarray) -> "RoadDrive":
-        """Return a drive over a known `profile`; `axles` (X,) [m] behind the first. Used are
-        samples with all axles on the profile. Its heights go on beyond its ends as they are there.
-        """
+        """Return a drive over a `profile`, used where all `axles` (X,) [m] are on it."""
         t = sample_times(record)
         fine, s = fine_stations(record, t), np.interp(t, record.t, record.s)
         weights = acceleration_filter()
-        u = [
-            [
-                np.convolve(np.interp(fine - axle, profile.s, z), weights, "valid")[::OVERSAMPLING]
-                for z in profile.z
-            ]
-            for axle in axles
-        ]
-        return cls(sensed(record, t), np.array(u), s, cls.segment_of(s, profile, axles))
+        fine_z = [[np.interp(fine - axle, profile.s, z) for z in profile.z] for axle in axles]
+        u = np.apply_along_axis(np.convolve, 2, fine_z, weights, "valid")[:, :, ::OVERSAMPLING]
+        return cls(sensed(record, t), u.copy(), s, cls.segment_of(s, profile, axles))
 
     @staticmethod
     def segment_of(s: np.ndarray, profile: Profile, axles: np.ndarray) -> np.ndarray:
@@ -83,21 +70,16 @@ class RoadDrive(NamedTuple):
 
     @single_blas_thread()
     def quick_explained(self) -> np.ndarray:
-        """Return the shares (k,) of the sensors' power that responses of the usual size and decay
-        predict in segments that they were not identified in.
-        """
-        parts = _segment_sums([self], [_stack_delays(self.u, N_TAPS)], [self.a], np.ones(1))
+        """Return the shares (k,) of the sensors' power explained by responses of usual settings."""
+        parts = _segment_sums([(_stack_delays(self.u), self.a, self.segment)], np.ones(1))
         total = reduce(LeastSquaresSums.plus, parts)
         settings = [_first_guess(total, j) for j in range(len(self.a))]
         return _explained(parts, settings, total.ZZ)
 
 
 class Responses(NamedTuple):
-    """Responses and noise of the sensors of one vehicle in one state of its struts.
-
-    `taps` (k, axles, 2, N_TAPS) [-] by sensor, axle and wheel path; `ar` (AR_ORDER,): coefficients
-    of the residual's autoregression; `innovation` (k, k) [(m/s²)²]: covariance of its innovations
-    at RATE.
+    """Responses and noise of one vehicle in one state: `taps` (k, axles, 2, N_TAPS) [-], `ar`
+    (AR_ORDER,) of the residual, and the covariance `innovation` (k, k) [(m/s²)²] at RATE.
     """
 
     taps: np.ndarray
@@ -106,11 +88,9 @@ class Responses(NamedTuple):
 
     @property
     def long_wave_gain(self) -> np.ndarray:
-        """Motion of each sensor in phase with the road (k,), relative to it, at F_BODY.
-
-        About 1 for any vehicle on its springs: that is the real part of
-        (1 + 2 i d x) / (1 - x² + 2 i d x) at its resonance, x = 1, and far below. Drives do not
-        determine the sum of the taps, the gain at zero frequency.
+        """Motion of each sensor in phase with the road (k,), relative to it, at F_BODY: about 1 for
+        any vehicle on its springs, the real part of (1 + 2 i d x) / (1 - x² + 2 i d x) at its
+        resonance, x = 1, and far below. Drives do not determine the gain at zero frequency.
         """
         turn = np.exp(-2j * np.pi * F_BODY / RATE * np.arange(N_TAPS))
         return (self.taps.sum(axis=(1, 2)) @ turn).real
@@ -130,26 +110,23 @@ class IdentifiedResponses(NamedTuple):
     def identify(
         cls, drives: Sequence[RoadDrive], prior: np.ndarray | None = None
     ) -> "IdentifiedResponses":
-        """Identify the responses from drives of one vehicle in one state.
-
-        `prior` (k, axles, 2, N_TAPS): mean of the taps before these drives, by default 0.
-        """
+        """Identify a vehicle in a state; `prior` (k, axles, 2, N_TAPS): mean taps, else 0."""
         k, shape = len(drives[0].a), (*drives[0].u.shape[:2], N_TAPS)
         mean = np.zeros((k, int(np.prod(shape)))) if prior is None else prior.reshape(k, -1)
-        X = [_stack_delays(drive.u, N_TAPS) for drive in drives]
-        a = [drive.a - mean @ x.T for drive, x in zip(drives, X, strict=True)]
-        parts = _segment_sums(drives, X, a, np.ones(1))
+        stacked = [(drive, _stack_delays(drive.u)) for drive in drives]
+        data = [(X, drive.a - mean @ X.T, drive.segment) for drive, X in stacked]
+        parts = _segment_sums(data, np.ones(1))
         total = reduce(LeastSquaresSums.plus, parts)
         settings = [_fit_settings(total, j) for j in range(k)]
         powers = [np.sum(drive.a[:, drive.segment >= 0] ** 2, axis=1) for drive in drives]
         explained = _explained(parts, settings, np.sum(powers, axis=0))
-        ar = _fit_autoregression(_residuals(drives, X, a, _solve_taps(total, settings)))
+        ar = _fit_autoregression(_residuals(data, _solve_taps(total, settings)))
         white = np.append(1.0, -ar)
-        parts = _segment_sums(drives, X, a, white)
+        parts = _segment_sums(data, white)
         total = reduce(LeastSquaresSums.plus, parts)
         settings = [_fit_settings(total, j) for j in range(k)]
         theta = _solve_taps(total, settings)
-        e = [signal.lfilter(white, 1.0, x) for x in _residuals(drives, X, a, theta)]
+        e = [signal.lfilter(white, 1.0, x) for x in _residuals(data, theta)]
         innovation = np.cov(np.concatenate(e, axis=1), bias=True).reshape(k, k)
         held_out = [_solve_taps(total.plus(part, -1), settings) for part in parts]
         first, *others = [
@@ -190,12 +167,11 @@ def fine_stations(record: Record, t: np.ndarray) -> np.ndarray:
     return s + np.maximum(fine - record.t[-1], 0.0) * record.v[-1]
 
 
-def _stack_delays(u: np.ndarray, n_taps: int) -> np.ndarray:
-    """Return the regressors (N, inputs n_taps) of inputs `u` (..., N), zero before them."""
+def _stack_delays(u: np.ndarray) -> np.ndarray:
+    """Return the regressors (N, inputs N_TAPS) of inputs `u` (..., N), zero before them."""
     # a window ends at each sample; reversed, its first value is the newest, as taps count back
-    u = u.reshape(-1, u.shape[-1])
-    padded = np.pad(u, ((0, 0), (n_taps - 1, 0)))
-    windows = np.lib.stride_tricks.sliding_window_view(padded, n_taps, axis=1)[:, :, ::-1]
+    padded = np.pad(u.reshape(-1, u.shape[-1]), ((0, 0), (N_TAPS - 1, 0)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, N_TAPS, axis=1)[:, :, ::-1]
     return np.concatenate(list(windows), axis=1)
 
 
@@ -224,10 +200,9 @@ def _kernel_factor(log_scale: float, decay: float) -> np.ndarray:
 
 
 def _posterior(sums: LeastSquaresSums, j: int, settings: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the negative log marginal likelihood of sensor `j` and its taps' posterior mean (p,).
-    `settings`: log c, logit lambda, log of the noise variance.
-    """
-    # taps are F w with white w: M is the Gram matrix of w, F' (X'X) F block by block of inputs
+    """Return negative log likelihood and mean taps (p,) of sensor `j` under `settings`."""
+    # `settings`: log c, logit lambda, log of the noise variance. Taps are F w with white w: M is
+    # the Gram matrix of w, F' (X'X) F block by block of inputs
     F = _kernel_factor(settings[0], 1.0 / (1.0 + np.exp(-settings[1])))
     inputs, noise = len(sums.XX) // N_TAPS, float(np.exp(settings[2]))
     blocks = sums.XX.reshape(inputs, N_TAPS, inputs, N_TAPS)
@@ -256,25 +231,19 @@ def _fit_settings(sums: LeastSquaresSums, j: int) -> np.ndarray:
     ).x
 
 
-def _segment_sums(
-    drives: Sequence[RoadDrive], X: list[np.ndarray], a: list[np.ndarray], white: np.ndarray
-) -> list[LeastSquaresSums]:
+def _segment_sums(data: list[_DriveData], white: np.ndarray) -> list[LeastSquaresSums]:
     """Return the sums of each segment over all drives, of signals filtered by `white`."""
-    sums = [LeastSquaresSums.zeros(X[0].shape[1], len(a[0]))] * _SEGMENTS
-    for drive, x, y in zip(drives, X, a, strict=True):
-        xw, yw = signal.lfilter(white, 1.0, x, axis=0), signal.lfilter(white, 1.0, y)
+    sums = [LeastSquaresSums.zeros(data[0][0].shape[1], len(data[0][1]))] * _SEGMENTS
+    for X, a, segment in data:
+        xw, yw = signal.lfilter(white, 1.0, X, axis=0), signal.lfilter(white, 1.0, a)
         for part in range(_SEGMENTS):
-            here = drive.segment == part
+            here = segment == part
             sums[part] = sums[part].plus(LeastSquaresSums.from_samples(xw[here], yw[:, here].T))
     return sums
 
 
-def _residuals(
-    drives: Sequence[RoadDrive], X: list[np.ndarray], a: list[np.ndarray], theta: np.ndarray
-) -> list[np.ndarray]:
-    return [
-        (y - theta @ x.T)[:, drive.segment >= 0] for drive, x, y in zip(drives, X, a, strict=True)
-    ]
+def _residuals(data: list[_DriveData], theta: np.ndarray) -> list[np.ndarray]:
+    return [(a - theta @ X.T)[:, segment >= 0] for X, a, segment in data]
 
 
 def _fit_autoregression(residuals: Sequence[np.ndarray]) -> np.ndarray:

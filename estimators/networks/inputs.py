@@ -24,6 +24,7 @@ from scipy import signal
 from estimators.common.pretrained import STATIONS_AHEAD
 from estimators.common.spatial_signals import (
     EDGE_STATIONS,
+    LEVEL_MIN,
     N_MOTIONS,
     N_RATIOS,
     SPACING,
@@ -33,7 +34,6 @@ from estimators.common.spatial_signals import (
 from estimators.linear.fir_bank import FirBank
 
 _LEVEL_DECAY_LENGTH = 30.0  # decay length [m] of the causal level
-_LEVEL_MIN = 3e-4  # added to the level [m], so that noise on a level road is not amplified
 N_INPUTS, N_CONDITIONS = 10, 8 + N_RATIOS
 
 
@@ -91,8 +91,8 @@ def _level(short_waves: np.ndarray, extra: int, causal: bool) -> np.ndarray:
     square = np.mean(short_waves**2, axis=0)
     if not causal:
         inside = square[extra : square.size - extra]
-        return np.full(square.size, _LEVEL_MIN + np.sqrt(inside.mean()))
+        return np.full(square.size, LEVEL_MIN + np.sqrt(inside.mean()))
     decay = np.exp(-SPACING / _LEVEL_DECAY_LENGTH)
     on_road = (np.arange(square.size) >= extra - EDGE_STATIONS).astype(float)
     total, weight = signal.lfilter([1.0], [1.0, -decay], np.array([square * on_road, on_road]))
-    return _LEVEL_MIN + np.sqrt(total / np.maximum(weight, 5.0 / SPACING))
+    return LEVEL_MIN + np.sqrt(total / np.maximum(weight, 5.0 / SPACING))

@@ -9,9 +9,8 @@ of the posterior of x, the road integrated out, is
 with kappa the independent share of the lines. Fisher scoring finds its maximum: with the whitened
 derivatives D_p = L^-1 (dC / dx_p) L^-*, C = L L*, the information is kappa sum tr(D_p D_q) + I
 (Whittle 1953, Ark. Mat. 2, 423-434; Kay 1993, "Fundamentals of Statistical Signal Processing:
-Estimation Theory", section 3.9). Its inverse is the covariance of what remains unknown of
-the vehicle, which adds to the noise (`_model_error_psd`). Of a vehicle that is not adapted as much
-is unknown as its tolerances say.
+Estimation Theory", section 3.9). Its inverse, the covariance of what remains unknown, adds to the
+noise (`_model_error_psd`); of a vehicle that is not adapted as much is unknown as its tolerances.
 """
 
 from dataclasses import dataclass, replace
@@ -33,12 +32,7 @@ from road_envs.analysis.information_bound import equivalent_damping, strut_rate_
 from road_envs.analysis.statistical_linearization import hermitian
 from road_envs.records.record import F_C, Record
 from road_envs.sensing.instruments import Instruments
-from road_envs.vehicle.linear_model import (
-    frequency_response,
-    gaussian_damping,
-    linearise,
-    response_changes,
-)
+from road_envs.vehicle import linear_model
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import ParameterSpace, has_absent_elements, parameter_space
 
@@ -46,8 +40,7 @@ from road_envs.vehicle.tolerances import ParameterSpace, has_absent_elements, pa
 @dataclass(frozen=True, eq=False)
 class _UncertainVehicle:
     """A vehicle `x` (P,) of a `space`, the `covariance` (P, P) of what is unknown of it, the noise
-    scale that it leaves `unexplained`, and its adaptation in words, if there was one, as `notes` of
-    an estimate.
+    scale that it leaves `unexplained`, and `notes` on its adaptation, if there was one.
     """
 
     space: ParameterSpace
@@ -63,9 +56,7 @@ class _UncertainVehicle:
         return self.space.from_vector(self.x)
 
     def model(self, segment: Segment, fitted: SpectralModel | None = None) -> SpectralModel:
-        """Return the model of a segment with the noise of an uncertain vehicle: the one `fitted` to
-        it with this vehicle, if there is one, or a new one.
-        """
+        """Return a segment's model, `fitted` with this vehicle or new, with its uncertainty."""
         vehicle = SensedVehicle.of(self.car, self.instruments)
         model = fitted or fit_hyperparameters(vehicle, segment)
         _, dH = _responses(self.space, self.x, self.instruments, segment, model)
@@ -80,20 +71,16 @@ def adapt_vehicle(
     instruments: Instruments,
     passes: int,
 ) -> _UncertainVehicle | None:
-    """Return the most probable vehicle on a `segment` of a `record`: `car` with its tolerances, if
-    it may well be that or no other explains more; None if its file gives no tolerances. `model` is
-    that of the segment for `car`, `passes` those of the estimate.
-
-    A vehicle is never adapted if the record has fewer than `least_channels` channels, or much of it
-    is obstacles, which are no part of a Gaussian process.
+    """Return the most probable vehicle on a `segment` of a `record`, with its `model` for `car`:
+    `car` with its tolerances, if it may well be that, no other explains more, channels are few or
+    much is obstacles, no part of a Gaussian process; None if its file gives no tolerances.
     """
     if not car.tolerances:
         return None
     before = after = float(np.mean(model.noise_scale))
     rigid = parameter_space(car, structure=False)
-    described = _UncertainVehicle(
-        rigid, instruments, np.zeros(rigid.size), np.eye(rigid.size), before
-    )
+    nominal = np.zeros(rigid.size)
+    described = _UncertainVehicle(rigid, instruments, nominal, np.eye(rigid.size), before)
     if (
         before < TUNING.adapted_scale
         or active_sensors(segment).size < TUNING.least_channels
@@ -135,28 +122,25 @@ def _responses(
     v, mode, f, n = segment.v, segment.mode, model.f, model.n
     vehicle = SensedVehicle.of(space.from_vector(x), instruments)
     damping = equivalent_damping(vehicle.plant, mode, v, model.prior)
-    linear = linearise(vehicle.plant, mode, vehicle.points, damping=damping, speed=v)
+    linear = linear_model.linearise(vehicle.plant, mode, vehicle.points, damping=damping, speed=v)
     rate = strut_rate_std(linear, v, f, model.S / v)
-    from_rate = gaussian_damping(vehicle.plant, mode, rate)
+    from_rate = linear_model.gaussian_damping(vehicle.plant, mode, rate)
     shifted = TUNING.difference * np.eye(space.size)
     others = [SensedVehicle.of(space.from_vector(x + d), instruments) for d in shifted]
     models = []
     for one in others:
-        own = damping * gaussian_damping(one.plant, mode, rate) / from_rate
-        models.append(linearise(one.plant, mode, one.points, damping=own, speed=v))
-    unbent = frequency_response(linear, v, f=f)
-    changes = response_changes(linear, models, v, f)
+        own = damping * linear_model.gaussian_damping(one.plant, mode, rate) / from_rate
+        models.append(linear_model.linearise(one.plant, mode, one.points, damping=own, speed=v))
+    unbent = linear_model.frequency_response(linear, v, f=f)
+    changes = linear_model.response_changes(linear, models, v, f)
     H = vehicle.response(unbent, f, n)
     dH = [one.response(unbent + d, f, n) - H for one, d in zip(others, changes, strict=True)]
     return H, np.array(dH) / TUNING.difference
 
 
 def _model_error_psd(dH: np.ndarray, covariance: np.ndarray, S: np.ndarray) -> np.ndarray:
-    """Return the spectrum (F, S, S) that uncertain parameters add to S signals, to first order:
-    sum over p, q of P_pq dH_p S dH_q*. It neglects that they depart equally at all frequencies.
-
-    `dH` (P, F, S, 2): derivatives of the response; `covariance` (P, P) of the parameters; `S`
-    (F, 2, 2): spectrum of the road.
+    """Return the spectrum (F, S, S) that uncertain parameters add, to first order: sum over p, q of
+    P_pq dH_p S dH_q*. It neglects that they depart equally at all frequencies.
     """
     root = np.linalg.cholesky(covariance)
     parts = np.tensordot(root.T, dH, axes=1)
@@ -171,10 +155,8 @@ def _fisher_scoring(
     iterate: Iterate,
     steps: int,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return the parameters (P,) after `steps` from `x` (P,), the covariance (P, P) of what is
-    unknown of them, and the gain of the log posterior that the first step promises.
-
-    The signals are those of an `iterate`, without nonlinear force residuals.
+    """Return the parameters (P,) after `steps` from `x` (P,), their covariance (P, P), and the gain
+    of the log posterior that the first step promises, on an `iterate` without force residuals.
     """
     model, gain = iterate.model, np.nan
     used = (model.f > TUNING.f_low) & (model.f < F_C)

@@ -2,14 +2,11 @@
 
 The accelerations are a Gaussian process under the vehicle linearised in a state of its struts
 (`spectral_model.py`), with road level, spectral shape and noise fitted to them. The deviance of a
-description is minus twice its log-likelihood by Whittle's approximation. Other modes of the
-vehicle and, where much noise is left unexplained, speeds in other units, channels with the opposite
-sign and exchanged channels are tried on 150 m in the middle of the drive, some tenths of a second
-each.
-
-Where the description explains the drive otherwise, vehicles that are held sideways in another way
-are tried, too: three accelerometers can be explained by two wheel paths whatever the vehicle, but
-not with the same likelihood.
+description is minus twice its log-likelihood by Whittle's approximation. Other modes and, where
+much noise is left unexplained, speeds in other units, channels with the opposite sign and exchanged
+channels are tried on 150 m in the middle of the drive, some tenths of a second each; else vehicles
+that are held sideways in another way: three accelerometers can be explained by two wheel paths
+whatever the vehicle, but not with the same likelihood.
 
 Obstacles, where wheels lift off, are no part of a Gaussian process: a doubt has to be as clear
 without what is beyond four standard deviations, and its surroundings.
@@ -29,14 +26,8 @@ from scipy.ndimage import maximum_filter1d
 from scipy.stats import median_abs_deviation
 
 from estimators.preprocessing import mask_record
+from estimators.wiener import spectral_model
 from estimators.wiener.segments import dominant_modes, split_segments
-from estimators.wiener.spectral_model import (
-    SensedVehicle,
-    active_sensors,
-    fit_hyperparameters,
-    signal_psd,
-    windowed_spectrum,
-)
 from estimators.wiener.tuning import TUNING
 from road_envs.core.config import ConfigError
 from road_envs.records.record import F_C, Record
@@ -44,15 +35,12 @@ from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.side_values import side_values
 
-# Units in which a speed may be given without a word, and their factors to m/s
-_SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}
+_SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}  # that may be given without a word, in m/s
 
 
 @dataclass(frozen=True)
 class _Alternative:
-    """Another description of a drive: what is `different` about its `record` or, if given, its
-    `car`, and what to do.
-    """
+    """Another description of a drive: what is `different` in its `record` or `car`, what to do."""
 
     different: str
     remedy: str
@@ -66,14 +54,11 @@ _Deviance = tuple[float, float, float]  # deviance, mean noise scale, number of 
 def check_notes(
     record: Record, car: VehicleParameters, instruments: str, *, speed_known: bool = False
 ) -> tuple[str, ...]:
-    """Return a note if the `record` of a drive of a `car` fits another description better.
-
-    A drive that changes the state of its struts, or has few channels, is not checked. With
-    `speed_known`, the speed is not doubted. Raises ConfigError, RecordError.
+    """Return a note if the `record` of a drive of a `car` fits another description better, of whose
+    speed only if not `speed_known`. Raises ConfigError, RecordError.
     """
-    if record.is_switched or len(record.channels) < TUNING.least_channels:
+    if (part := _middle(record)) is None:
         return ()
-    part = _middle(record)
     described = _deviance(part, car, instruments)
     others = list(_other_modes(part, car))
     if described[1] > TUNING.doubted_scale:
@@ -82,14 +67,11 @@ def check_notes(
 
 
 def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tuple[str, ...]:
-    """Return a note if a vehicle that is held sideways in another way fits a drive better.
-
-    Only where the description leaves little unexplained otherwise, and three sensors or more tell
-    roll from heave and pitch. Raises ConfigError, RecordError.
+    """Return a note if a vehicle that is held sideways in another way fits a drive better, where
+    the description leaves little unexplained otherwise. Raises ConfigError, RecordError.
     """
-    if record.is_switched or len(record.channels) < TUNING.least_channels:
+    if (part := _middle(record)) is None:
         return ()
-    part = _middle(record)
     described = _deviance(part, car, instruments)
     if described[1] > TUNING.doubted_scale:
         return ()
@@ -105,9 +87,7 @@ def _note_on_best(
     others: Sequence[_Alternative],
     least: float,
 ) -> tuple[str, ...]:
-    """Return a note on that of the `others` which fits best, if it fits a drive better than its
-    description, with obstacles and without.
-    """
+    """Return a note on the best of the `others`, if it fits better, with obstacles and without."""
     gains = [
         _clear_gain(described, _deviance(other.record, other.car or car, instruments), least)
         for other in others
@@ -115,10 +95,8 @@ def _note_on_best(
     if not any(gains):
         return ()
     best = others[int(np.argmax(gains))]
-    pairs = (record, car), (best.record, best.car or car)
-    own, other = (
-        _deviance(_without_obstacles(part), vehicle, instruments) for part, vehicle in pairs
-    )
+    own = _deviance(_without_obstacles(record), car, instruments)
+    other = _deviance(_without_obstacles(best.record), best.car or car, instruments)
     if not _clear_gain(own, other, least):
         return ()
     return (
@@ -135,9 +113,7 @@ def _clear_gain(described: _Deviance, other: _Deviance, least: float) -> float:
 
 
 def _other_side_motions(record: Record, car: VehicleParameters) -> Iterator[_Alternative]:
-    """Yield a drive of vehicles that are held sideways in another way than described. A passive
-    car whose file has no `side` is noted without a trial.
-    """
+    """Yield a drive of vehicles held sideways in another way; none of a passive one, no `side`."""
     blurred = "left and right are not told apart as well as the intervals say, "
     if car.side is None:
         if not car.is_passive:
@@ -183,11 +159,9 @@ def _other_modes(record: Record, car: VehicleParameters) -> Iterator[_Alternativ
     names = " and ".join(dict.fromkeys(described.values()))
     for name, (stiff, high) in car.modes.items():
         if set(described.values()) != {name}:
-            other = replace(
-                record,
-                spring_stiff=np.full_like(record.spring_stiff, stiff),
-                damper_high=np.full_like(record.damper_high, high),
-            )
+            springs = np.full_like(record.spring_stiff, stiff)
+            dampers = np.full_like(record.damper_high, high)
+            other = replace(record, spring_stiff=springs, damper_high=dampers)
             yield _Alternative(f"the mode {name}", f"{names} is described (--mode)", other)
 
 
@@ -195,12 +169,8 @@ def _other_readings(record: Record, speed_known: bool = False) -> Iterator[_Alte
     """Yield a record with other units of its speed, other signs, and exchanged channels."""
     for unit, factor in _SPEED_UNITS.items():
         if not speed_known:
-            slower = replace(
-                record,
-                v=factor * record.v,
-                s=factor * (record.s - record.s[0]),
-                length=factor * record.length,
-            )
+            v, s = factor * record.v, factor * (record.s - record.s[0])
+            slower = replace(record, v=v, s=s, length=factor * record.length)
             given = f"{3.6 * np.median(record.v):.0f} km/h"
             yield _Alternative(
                 f"a speed of {3.6 * factor * np.median(record.v):.0f} km/h",
@@ -230,10 +200,12 @@ def _deviance(record: Record, car: VehicleParameters, instruments: str) -> _Devi
     """Return the deviance of a record under the description of its `car`."""
     sensors = instruments_of(record, instruments)
     (segment,) = split_segments(mask_record(record, sensors), np.inf, 0.0)
-    model = fit_hyperparameters(SensedVehicle.of(car, sensors), segment)
-    used, band = active_sensors(segment), (model.f > TUNING.f_low) & (model.f < F_C)
-    y = windowed_spectrum(model, segment)[band][:, used]
-    C = signal_psd(model, model.noise_psd())[band][:, used][:, :, used]
+    vehicle = spectral_model.SensedVehicle.of(car, sensors)
+    model = spectral_model.fit_hyperparameters(vehicle, segment)
+    used = spectral_model.active_sensors(segment)
+    band = (model.f > TUNING.f_low) & (model.f < F_C)
+    y = spectral_model.windowed_spectrum(model, segment)[band][:, used]
+    C = spectral_model.signal_psd(model, model.noise_psd())[band][:, used][:, :, used]
     misfit = np.real(np.sum(y.conj() * np.linalg.solve(C, y), axis=(1, 2)))
     # densities over frequency, not over distance: those of other speeds are compared
     log_det = np.linalg.slogdet(C)[1] - used.size * np.log(segment.v)
@@ -242,8 +214,10 @@ def _deviance(record: Record, car: VehicleParameters, instruments: str) -> _Devi
     return total, float(np.mean(model.noise_scale)), float(independent * band.sum())
 
 
-def _middle(record: Record) -> Record:
-    """Return `checked_length` in the middle of a record, from station 0 on."""
+def _middle(record: Record) -> Record | None:
+    """Return `checked_length` of a record, from station 0; None if switched or of few channels."""
+    if record.is_switched or len(record.channels) < TUNING.least_channels:
+        return None
     reach = 0.5 * TUNING.checked_length
     middle = 0.5 * (record.s[0] + record.s[-1])
     inside = np.flatnonzero(np.abs(record.s - middle) <= reach)

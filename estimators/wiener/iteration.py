@@ -7,10 +7,9 @@ With C the covariance that the spectrum defines on a circle and M the selection 
 
 handles ends and gaps exactly (`spectral_model.solve_circulant`).
 
-Each further pass linearises about the estimate: z^ gives the motion of the struts and its
-uncertainty, hence the expected nonlinear force residual q and its variance. q is subtracted from
-the signals, part of its variance remains as noise, and the noise scale is fitted again. The passes
-may diverge where wheels leave the ground; a diverging pass is discarded.
+Each further pass linearises about z^: the motion of the struts and its uncertainty give the
+expected nonlinear force residual q, which is subtracted, and its variance, part of which remains as
+noise; the noise scale is fitted again. Passes that diverge, where wheels fly, are discarded.
 """
 
 from dataclasses import replace
@@ -32,13 +31,12 @@ from estimators.wiener.spectral_model import (
 from estimators.wiener.tuning import TUNING
 from road_envs.analysis.information_bound import posterior
 from road_envs.analysis.statistical_linearization import NonlinearResidual, hermitian
-from road_envs.records.record import F_C
+from road_envs.records.record import F_C, PROFILE_SPACING, scored_band
 
 
 class Iterate(NamedTuple):
-    """Result of a pass: spectral lines of the wheel paths `z` (2, F) and of the struts' extension
-    rates `w` (4, F), and the spectral density `error` (F, 2, 2) [m³] of the paths' errors; beside
-    them its `model`, signals `y` (S, M) [m/s²] and spectrum `noise` (F, S, S).
+    """Result of a pass: lines of wheel paths `z` (2, F) and struts' rates `w` (4, F), density
+    `error` (F, 2, 2) [m³] of z; its `model`, signals `y` (S, M) and spectrum `noise` (F, S, S).
     """
 
     z: np.ndarray
@@ -50,15 +48,12 @@ class Iterate(NamedTuple):
 
 
 def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Iterate:
-    """Return the result of the last pass, when `passes` are done or the iteration ends, or of the
-    one before which it diverges.
-    """
+    """Return the last of `passes`, or of those until the iteration ends or before it diverges."""
     M, size, measured = segment.a.shape[1], model.size, max(int(segment.valid.sum()), 1)
-    q, share = np.zeros((4, size)), np.ones(4)
+    q, share, change = np.zeros((4, size)), np.ones(4), 1.0
     start: np.ndarray | None = None  # the previous solution warm-starts the next solve
     first: float | None = None
     iterate: Iterate | None = None
-    change = 1.0
     for remaining in reversed(range(passes)):
         residual_lines = apply_response(model.H_force, rfft(q))
         y = np.where(segment.valid, segment.a - irfft(residual_lines, size)[:, :M], 0.0)
@@ -93,6 +88,28 @@ def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Itera
     return iterate
 
 
+def to_grid(segment: Segment, iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
+    """Return heights and standard deviations (2, N) [m] at profile stations of the segment."""
+    model = iterate.model
+    size = model.size * segment.stride
+    lines = np.zeros((2, size // 2 + 1), dtype=complex)
+    lines[:, : model.n.size] = iterate.z * (model.f < F_C)
+    z = irfft(lines, size) * segment.stride
+    low, high = scored_band(segment.v)
+    band = (model.n >= low) & (model.n <= high)
+
+    def std(spectrum: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.trapezoid(np.real(np.einsum("fii->if", spectrum[band])), model.n[band]))
+
+    # valid samples within 1.5 m of each profile station
+    measured = np.repeat(segment.valid.mean(axis=0), segment.stride)
+    window = np.ones(2 * round(1.5 / PROFILE_SPACING) + 1)
+    share = np.zeros(size)
+    share[: measured.size] = np.convolve(measured, window / window.size, "same").clip(0.0, 1.0)
+    known, prior = std(iterate.error)[:, None] ** 2, std(model.S)[:, None] ** 2
+    return z, np.sqrt(share * known + (1.0 - share) * prior)
+
+
 def _residual_forces(iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
     """Return expected force residuals (4, size) [N] and their mean variances (4,) [N²]."""
     model = iterate.model
@@ -109,10 +126,8 @@ def _residual_forces(iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
 def _gaussian_expectation(
     law: NonlinearResidual, e: np.ndarray, w: np.ndarray, std_e: np.ndarray, std_w: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the expected force (4, N) [N] and its variance (4,) [N²], averaged over N.
-
-    The extensions `e` [m] and rates `w` [m/s] (4, N) have Gaussian errors of standard deviation
-    `std_e` and `std_w` (4,).
+    """Return the expected force (4, N) [N] and its variance (4,) [N²], averaged over N, of struts'
+    extensions `e` [m] and rates `w` [m/s] (4, N) with Gaussian errors `std_e` and `std_w` (4,).
     """
     mean, variance = np.zeros(e.shape), np.zeros(4)
     for x, *rows in (law.e, law.over_extension, e, std_e), (law.e_dot, law.over_rate, w, std_w):

@@ -3,11 +3,10 @@
     a = H z + H_F q + e     z wheel paths, q nonlinear residuals of the strut forces, e sensor noise
 
 Estimated per segment: the level G_d(n0) of the road prior, its shape (the deviation of each octave
-from a waviness of 2) and a noise scale per octave, by empirical Bayes with expectation
-maximisation (Dempster, Laird & Rubin, J. R. Stat. Soc. B 39, 1977), alternating with the equivalent
-dampers, which depend on the road. Noise and road are separable because three sensors observe two
-wheel paths: one combination of the sensors contains noise alone. A vehicle that differs from the
-model appears in this combination too and raises the noise scale.
+from a waviness of 2) and a noise scale per octave, by expectation maximisation (Dempster, Laird &
+Rubin, J. R. Stat. Soc. B 39, 1977), alternating with the equivalent dampers, which depend on the
+road. Noise and road are separable because three sensors observe two wheel paths: one combination
+contains noise alone, or a vehicle that differs from the model.
 """
 
 from dataclasses import dataclass, replace
@@ -29,19 +28,12 @@ from road_envs.analysis.statistical_linearization import (
     residual_force_psd,
 )
 from road_envs.sensing.instruments import Instruments
+from road_envs.vehicle import linear_model
 from road_envs.vehicle.equations import Plant, build_plant
-from road_envs.vehicle.linear_model import (
-    combine_wheel_paths,
-    force_response,
-    frequency_response,
-    linearise,
-    strut_rate_response,
-)
 from road_envs.vehicle.parameters import VehicleParameters
 
-# Band centres [Hz] of the noise scale, interpolated over log f
+# Band centres of the noise scale [Hz] and of the road's shape [cycles/m], interpolated over the log
 _NOISE_OCTAVES = np.array([0.7, 1.4, 2.8, 5.6, 11.0, 20.0])
-# Band centres [cycles/m] of the road's shape, interpolated over log n
 _ROAD_OCTAVES = 0.125 * 2.0 ** np.arange(6)
 
 
@@ -84,9 +76,7 @@ class SensedVehicle:
         return sensed * self.instruments.response(f)[:, None, None]
 
     def response(self, unbent: np.ndarray, f: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """Return the responses (F, S, 2) of the sensors to the wheel paths, from those of the
-        `points` to the road under the tyres.
-        """
+        """Return responses (F, S, 2) to the wheel paths, from those of the `points` under tyres."""
         return self.readings(unbent, f) * self.envelope(n)[:, None, None]
 
     def envelope(self, n: np.ndarray) -> np.ndarray:
@@ -99,13 +89,11 @@ class SpectralModel:
     """Model on the frequencies `n` [cycles/m], `f` [Hz] (F,) of a circle of `size` stations.
 
     - `H` (F, S, 2) [m/s² per m], `X` (F, 4, 2) [m/s per m]: responses of the sensors and of the
-      struts' rates of extension to the wheel paths; `H_force` (F, S, 4), `X_force` (F, 4, 4): to
-      strut forces
+      struts' rates of extension to the wheel paths; `H_force`, `X_force` (F, ..., 4): to forces
     - `residual_law`: nonlinear part of the strut forces; `residual_power` (4,) [N²]: its power;
       `residual_psd` (F, 4, 4) [N² m]: its spectrum over n
     - `sensor_psd` [(m/s²)² m]: noise of a sensor; `model_error` (F, S, S): what an uncertain
-      vehicle adds; `noise_scale` (F,): factor on all noise
-    - `prior`: road prior; `S` (F, 2, 2) [m³]: its spectrum
+      vehicle adds; `noise_scale` (F,): factor on all noise; `S` (F, 2, 2) [m³]: the prior's
     """
 
     size: int
@@ -150,11 +138,7 @@ def fit_hyperparameters(vehicle: SensedVehicle, segment: Segment) -> SpectralMod
 
 
 def _build_model(
-    vehicle: SensedVehicle,
-    segment: Segment,
-    prior: _ShapedRoadPrior,
-    size: int,
-    noise_scale: np.ndarray,
+    vehicle: SensedVehicle, segment: Segment, prior: _ShapedRoadPrior, size: int, scale: np.ndarray
 ) -> SpectralModel:
     """Return the model of a `segment` for this road `prior` on a circle of `size` stations."""
     v, plant = segment.v, vehicle.plant
@@ -162,9 +146,9 @@ def _build_model(
     n[0] = 0.5 * n[1]  # at 0 the responses vanish and the prior is infinite
     f = n * v
     damping = equivalent_damping(plant, segment.mode, v, prior)
-    linear = linearise(plant, segment.mode, vehicle.points, damping=damping, speed=v)
-    enveloped = vehicle.envelope(n)[:, None, None]
-    H_force, X_force = force_response(linear, f)
+    linear = linear_model.linearise(plant, segment.mode, vehicle.points, damping=damping, speed=v)
+    H_force, X_force = linear_model.force_response(linear, f)
+    X = linear_model.combine_wheel_paths(linear, v, f, linear_model.strut_rate_response(linear, f))
     law = nonlinear_residual(plant, segment.mode, damping)
 
     def under_tyres(n: np.ndarray) -> np.ndarray:
@@ -175,8 +159,8 @@ def _build_model(
         size=size,
         n=n,
         f=f,
-        H=vehicle.response(frequency_response(linear, v, f=f), f, n),
-        X=combine_wheel_paths(linear, v, f, strut_rate_response(linear, f)) * enveloped,
+        H=vehicle.response(linear_model.frequency_response(linear, v, f=f), f, n),
+        X=X * vehicle.envelope(n)[:, None, None],
         H_force=vehicle.readings(H_force, f),
         X_force=X_force,
         residual_law=law,
@@ -186,7 +170,7 @@ def _build_model(
         model_error=0.0,
         prior=prior,
         S=prior.spectrum(n),
-        noise_scale=noise_scale,
+        noise_scale=scale,
     )
 
 
@@ -221,9 +205,8 @@ def active_sensors(segment: Segment) -> np.ndarray:
 def run_em(
     model: SpectralModel, lines: np.ndarray, sensors: np.ndarray, share: np.ndarray | None = None
 ) -> tuple[_ShapedRoadPrior, np.ndarray]:
-    """Return updated road prior and noise scale (F,), given `lines` (F, S, 1) of the `sensors`.
-
-    With fewer than three sensors the noise scale is kept: noise and road are not separable.
+    """Return updated road prior and noise scale (F,), given `lines` (F, S, 1) of the `sensors`; of
+    fewer than three the scale is kept, as noise and road are not separable.
     """
     in_band = (model.f > TUNING.f_low) & (model.f < F_C)
     n, y, H = model.n[in_band], lines[in_band][:, sensors], model.H[in_band][:, sensors]
@@ -277,10 +260,7 @@ def _circulant_product(spectrum: np.ndarray, x: np.ndarray, size: int) -> np.nda
 def solve_circulant(
     C: np.ndarray, y: np.ndarray, valid: np.ndarray, size: int, start: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return x (S, M), zero where not `valid`, with C x = y (S, M) where `valid`.
-
-    Conjugate gradients with FFT products; the preconditioner is C^-1 of the circle.
-    """
+    """Return x (S, M) with C x = y where `valid`, else 0, preconditioned by C^-1 of the circle."""
     inverse = np.linalg.inv(C)
     x, _ = conjugate_gradients(
         lambda x: valid * _circulant_product(C, x, size),

@@ -7,11 +7,10 @@ training is needed. Missing, clipped or truncated signals only remove informatio
 smoothed on its own (`iteration.py`) and blended with its neighbours.
 
     wiener            the best linear estimate. With linear struts the error would reach the bound
-    iterated_wiener   each further pass computes the deviation of friction and damper curves from
-                      the equivalent dampers on the estimated strut motion (its expectation where
-                      that is uncertain), subtracts it from the accelerations and smooths again
-                      (`iteration.py`): a dozen passes come close to the maximum a posteriori
-                      estimate with the nonlinear vehicle, at the cost of Fourier transforms
+    iterated_wiener   each further pass subtracts the deviation of friction and damper curves from
+                      the equivalent dampers, as expected on the estimated strut motion, and smooths
+                      again: a dozen come close to the maximum a posteriori estimate with the
+                      nonlinear vehicle, at the cost of Fourier transforms
 
 A vehicle that departs from its description is adapted to the very drive (`adaptation.py`, `adapt`);
 what its tolerances leave unknown is part of the standard deviations.
@@ -26,7 +25,6 @@ from functools import partial
 from typing import ClassVar
 
 import numpy as np
-from scipy.fft import irfft
 
 from estimators.common.explained import reduce_unexplained, trusted_share, untrusted_note
 from estimators.common.misfit import NOISE_SCALE_WARNING, misfit_note
@@ -34,19 +32,12 @@ from estimators.common.odometer import calibrate_odometer
 from estimators.map_smoother.identified_vehicle import CalibratedByIdentification
 from estimators.preprocessing import mask_record
 from estimators.wiener.adaptation import adapt_vehicle
-from estimators.wiener.iteration import Iterate, smooth_segment
+from estimators.wiener.iteration import smooth_segment, to_grid
 from estimators.wiener.segments import Segment, split_segments
 from estimators.wiener.spectral_model import SensedVehicle, SpectralModel, fit_hyperparameters
 from estimators.wiener.tuning import TUNING
 from road_envs.core.config import Count, Positive
-from road_envs.records.record import (
-    F_C,
-    PROFILE_SPACING,
-    Estimate,
-    Record,
-    profile_stations,
-    scored_band,
-)
+from road_envs.records.record import PROFILE_SPACING, Estimate, Record, profile_stations
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -65,9 +56,7 @@ class Wiener(CalibratedByIdentification):
         return self._estimate(record, car, 1)
 
     def _estimate(self, record: Record, car: VehicleParameters, passes: int) -> Estimate:
-        """Estimate both wheel paths, of a vehicle adapted to the drive if it departs from its
-        description; `std_factor` scales the standard deviations in the scored band.
-        """
+        """Estimate both wheel paths, of a vehicle adapted to the drive if it departs."""
         record, car = self.as_identified(record, car)
         odometer = calibrate_odometer(record)
         record = odometer.record
@@ -75,14 +64,12 @@ class Wiener(CalibratedByIdentification):
         stations = profile_stations(record.length)
         total, total_std, weights = (np.zeros((2, stations.size)) for _ in range(3))
         masked = mask_record(record, sensors)
-        notes = [*masked.notes]
+        notes, found = [*masked.notes], None
         segments = list(split_segments(masked, TUNING.segment_length, TUNING.segment_margin))
-        vehicle = SensedVehicle.of(car, sensors)
-        k = len(segments) // 2
+        k, vehicle = len(segments) // 2, SensedVehicle.of(car, sensors)
         fit: Callable[[Segment], SpectralModel] = partial(fit_hyperparameters, vehicle)
         middle = fit(segments[k])
         unexplained = float(np.mean(middle.noise_scale))
-        found = None
         if self.adapt and self.identified is None:
             found = adapt_vehicle(masked.record, segments[k], middle, car, sensors, passes)
         if found:
@@ -93,7 +80,7 @@ class Wiener(CalibratedByIdentification):
         for segment in segments:
             model = middle if segment is segments[k] else fit(segment)
             unexplained = max(unexplained, float(np.mean(model.noise_scale)))
-            z, std = _to_grid(segment, smooth_segment(model, segment, passes))
+            z, std = to_grid(segment, smooth_segment(model, segment, passes))
             at = np.round(stations / PROFILE_SPACING).astype(int) - segment.first * segment.stride
             weight = _blend_weights(stations, segment.core, record.length)
             inside = (at >= 0) & (at < z.shape[1]) & (weight > 0.0)
@@ -122,28 +109,6 @@ class IteratedWiener(Wiener):
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError."""
         return self._estimate(record, car, self.passes)
-
-
-def _to_grid(segment: Segment, iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
-    """Return heights and standard deviations (2, N) [m] at profile stations of the segment."""
-    model = iterate.model
-    size = model.size * segment.stride
-    lines = np.zeros((2, size // 2 + 1), dtype=complex)
-    lines[:, : model.n.size] = iterate.z * (model.f < F_C)
-    z = irfft(lines, size) * segment.stride
-    low, high = scored_band(segment.v)
-    band = (model.n >= low) & (model.n <= high)
-
-    def std(spectrum: np.ndarray) -> np.ndarray:
-        return np.sqrt(np.trapezoid(np.real(np.einsum("fii->if", spectrum[band])), model.n[band]))
-
-    # valid samples within 1.5 m of each profile station
-    measured = np.repeat(segment.valid.mean(axis=0), segment.stride)
-    window = np.ones(2 * round(1.5 / PROFILE_SPACING) + 1)
-    share = np.zeros(size)
-    share[: measured.size] = np.convolve(measured, window / window.size, "same").clip(0.0, 1.0)
-    known, prior = std(iterate.error)[:, None] ** 2, std(model.S)[:, None] ** 2
-    return z, np.sqrt(share * known + (1.0 - share) * prior)
 
 
 def _blend_weights(stations: np.ndarray, core: tuple[float, float], length: float) -> np.ndarray:
