@@ -158,17 +158,17 @@ def _obstacle_marks(traces: Mapping[str, Trace], side: int) -> list[dict[str, An
     found = true_obstacles(reference.z_true, reference.ds)[side]
     marks = [_marks("truth", "true obstacle", found, "triangle-down", fig.INK)] if found else []
     for k, (name, trace) in enumerate(traces.items()):
-        if (matches := match_obstacles(trace.z_true, trace.z_estimated, trace.ds)) is None:
+        if not (matches := match_obstacles(trace.z_true, trace.z_estimated, trace.ds)):
             continue
         pairs, missed, false = matches[side]
-        look = fig.colour(name)
         for kind, symbol, obstacles in (
             ("detected", "circle-open", [mine for _, mine in pairs]),
             ("missed", "x-thin-open", missed),
             ("false alarm", "diamond-open", false),
         ):
             if obstacles:
-                marks.append(_marks(name, kind, obstacles, symbol, look) | _visibility(k))
+                own = _marks(name, kind, obstacles, symbol, fig.colour(name))
+                marks.append(own | _visibility(k))
     return marks
 
 
