@@ -19,7 +19,6 @@ from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.report import figures as fig
 from leaderboard.report.board_definitions import COLUMNS, rank_column
 from leaderboard.report.charts import ERROR_AXES, bound_lines, error_lines
-from leaderboard.report.overview import scaled
 from leaderboard.report.tables import BoardView, Row, Section, train_seconds
 from leaderboard.running.board import Board
 
@@ -50,6 +49,8 @@ def page_values(
     ]
     first, about = results[0][1], board.methods.get(name)
     settings = (f"{key.replace('_', ' ')} {x}" for key, x in first.settings.items())
+    statements = vars(about) | {"authors": ", ".join(about.authors)} if about else {}
+    cards = {card.identity: card for _, result in results if (card := board.card(result))}
     return {
         "root": "../",
         "name": name,
@@ -59,22 +60,14 @@ def page_values(
         "settings": ", ".join(settings),
         "programs": len({(x.code, json.dumps(x.settings, sort_keys=True)) for _, x in results}),
         "method": _method(name),
-        "method_card": {**vars(about), "authors": ", ".join(about.authors)}.items()
-        if about
-        else (),
-        "cards": list(
-            {card.identity: card for _, result in results if (card := board.card(result))}.values()
-        ),
+        "method_card": statements.items(),
+        "cards": [*cards.values()],
         "rows": rows,
         "rank_column": rank_column,
         "charts": _charts(evaluated),
         "tasks": [section.task for section, *_ in evaluated],
         "cost": [_cost(result) for _, result, *_ in evaluated],
-        "worst": [
-            drive
-            for _, result, _, definition in evaluated
-            for drive in _worst_drives(result, definition.ranks_by)
-        ],
+        "worst": [x for _, one, _, own in evaluated for x in _worst_drives(one, own.ranks_by)],
         "failures": [(task, result.failure) for task, result in results if result.failure],
         "results": [(task, one, _result_provenance(board, task, one)) for task, one in results],
     }
@@ -153,14 +146,12 @@ def _error_figure(
     if len(found) < 2:
         return None
     labels = {
-        f"{'<br>'.join(textwrap.wrap(name, _LABEL_LENGTH))}  <b>{score.format_value(x)}</b>": (
-            score.factor * x
-        )
+        f"{'<br>'.join(textwrap.wrap(name, _LABEL_LENGTH))}  <b>{score.format_value(x)}</b>": x
         for name, x in found.items()
     }
     ends = [(groups[name].get("low"), groups[name].get("high")) for name in found]
     bars = {
-        **fig.interval_bars(row.name, labels, scaled(ends, score.factor)),
+        **fig.interval_bars(row.name, labels, ends, score.factor),
         "marker": {"color": fig.colour(row.name)},
         "hovertemplate": "%{y}<extra></extra>",
     }
@@ -179,9 +170,8 @@ def _spectrum_figure(section: Section, result: Result, row: Row, *_: Any) -> dic
 
 
 def _calibration_figure(section: Section, result: Result, *_: Any) -> dict[str, Any] | None:
-    """Return the share of errors inside intervals of every probability; None without intervals.
-
-    The errors are those of the stored start of one drive under each condition, in the scored band.
+    """Return the share of errors inside intervals of every probability, in the scored band of the
+    stored start of one drive under each condition; None without intervals.
     """
     ratios = [_standardized(trace).ravel() for trace in result.traces if trace.z_std is not None]
     if not ratios:
@@ -215,10 +205,9 @@ def _worst_drives(result: Result, key: str) -> list[tuple[str, ...]]:
     runs = result.scores[result.scores["score"] == key]
     if len(runs) < 2:
         return []
-    form = COLUMNS[key]
     return [
         (result.task, f"{run.road}, seed {run.road_seed}", run.condition, f"{run.seed}",
-         form.text(run.value))
+         COLUMNS[key].text(run.value))
         for run in runs.nlargest(_WORST_DRIVES, "value").itertuples()
     ]  # fmt: skip
 

@@ -60,10 +60,7 @@ def _style(name: str) -> tuple[int, str]:
 
 
 def chart(
-    title: str,
-    figures: Mapping[str, Mapping[str, Any]],
-    layout: Mapping[str, Any],
-    by: Sequence[str] = (),
+    title: str, figures: Mapping[str, Any], layout: Mapping[str, Any], by: Sequence[str] = ()
 ) -> Chart:
     """Return a chart; a single figure has the key ""."""
     return {"title": title, "by": list(by), "layout": dict(layout), "figures": dict(figures)}
@@ -77,9 +74,8 @@ def axis(label: str, low: float | None = None, high: float | None = None, **opti
 
 def curve(name: str, x: Iterable[float], y: Iterable[float | None], **options: Any) -> Any:
     """Return a line; its legend entry also hides what has the same `legendgroup`."""
-    return {"name": name, "x": list(x), "y": list(y), "legendgroup": name, "mode": "lines"} | (
-        options
-    )
+    line = {"name": name, "x": list(x), "y": list(y), "legendgroup": name, "mode": "lines"}
+    return line | options
 
 
 def area(x: Sequence[float], low: Sequence[float], high: Sequence[float], **options: Any) -> Any:
@@ -90,16 +86,17 @@ def area(x: Sequence[float], low: Sequence[float], high: Sequence[float], **opti
 
 
 def interval_bars(
-    name: str, values: Mapping[str, float], ends: Iterable[tuple[float | None, float | None]]
+    name: str, values: Mapping[str, float], ends: Iterable[tuple[Any, Any]], factor: float
 ) -> dict[str, Any]:
-    """Return horizontal bars of values by label, with their intervals where there are any."""
+    """Return horizontal bars of `factor` times the values by label, with intervals if not None."""
+    scaled = [factor * value for value in values.values()]
     spans = [
-        (0.0, 0.0) if low is None or high is None else (x - low, high - x)
-        for x, (low, high) in zip(values.values(), ends, strict=True)
+        (0.0, 0.0) if low is None or high is None else (x - factor * low, factor * high - x)
+        for x, (low, high) in zip(scaled, ends, strict=True)
     ]
     below, above = ([rounded(x, 4) for x in ends] for ends in zip(*spans, strict=True))
     error = {"type": "data", "arrayminus": below, "array": above, "color": INK}
-    x = [rounded(value, 5) for value in values.values()]
+    x = [rounded(value, 5) for value in scaled]
     bars = {"type": "bar", "orientation": "h", "name": name, "x": x, "y": list(values)}
     return {**bars, "error_x": {**error, "thickness": 1.5, "width": 3}}
 

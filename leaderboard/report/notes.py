@@ -22,7 +22,6 @@ from road_envs.vehicle.parameters import load_vehicle
 if TYPE_CHECKING:
     from leaderboard.report.tables import Row
 
-
 PUBLIC_ROADS = (
     "The test roads of this board are public: an entry can draw them again instead of estimating "
     "them, and its rank then says nothing. A rank counts only in a sealed season, whose seeds are "
@@ -38,9 +37,7 @@ FOUND_SEEDS = (
 _SENSORS = "paper"  # of shipped weights, and those that a model of the sensors has by default
 _SHEET = attrgetter("fs", "f_alias", "noise_density", "speed_error")
 
-_SEARCHED = 2**40
-"""Seeds below are found by trial, 100 000 in a second, in 130 days of a core; of 62 bits in none.
-"""
+_SEARCHED = 2**40  # seeds below are found by trial, 100 000 in a second, in 130 days of a core
 
 
 def section_notes(
@@ -55,6 +52,7 @@ def section_notes(
     level = f"On {drives} nobody has a score, as on a level road."
     unranked = [x.name for x in rows if x.state == "scored" and x.values.get(ranks_by) is None]
     lacking = f"No {SCORES[ranks_by].label} on some drives, and so no rank: {', '.join(unranked)}."
+    seeds = {name: f"{n} training seed{'s' * (n > 1)}" for name, n in trainings.items()}
     results = [*scored, *board.failed(task)]  # of a file, they note what was changed on its surface
     surface = dict.fromkeys(x for r in results for x in r.notes if x not in _own_notes(r))
     return (
@@ -68,7 +66,7 @@ def section_notes(
         *sanity_warnings(rows, ranks_by, task.is_public),
         *_kernel_notes(scored, _verified_for(task, board.verified)),
         *_version_notes(scored),
-        *_seed_notes(trainings),
+        *_notes_on_others(seeds, "ran with {}, the others with {}"),
     )
 
 
@@ -81,8 +79,6 @@ def _can_find_seeds(task: Task, scored: Iterable[Result]) -> bool:
 def sanity_warnings(rows: Sequence["Row"], ranks_by: str, is_public: bool = False) -> list[str]:
     """Return remarks on entries whose NRMSE or ranking score is better than that of the truth with
     noise, or whose NRMSE is better than the bound, and on faulty baselines.
-
-    On roads that are public, an entry below the bound may have drawn them again.
     """
     doubt = ": it knows more than the sensors tell, or has drawn these public roads again"
     error = {row.name: row.values.get("nrmse") for row in rows}
@@ -151,16 +147,13 @@ def _own_notes(result: Result) -> list[str]:
 
 def isolation_notice(results: Iterable[Result]) -> str | None:
     """Return one sentence on the scored rows that ran without isolation; None if all had it."""
-    names = [
-        r.estimator
-        for r in results
-        if r.role == "entry" and r.failure is None and r.isolation not in ISOLATED
-    ]
+    entries = (r for r in results if r.role == "entry" and r.failure is None)
+    names = dict.fromkeys(r.estimator for r in entries if r.isolation not in ISOLATED)
     if not names:
         return None
     return (
-        f"Run without isolation: {', '.join(dict.fromkeys(names))}. These estimators had the "
-        "rights of the user who ran the board: their rows hold only if that user trusts their code."
+        f"Run without isolation: {', '.join(names)}. These estimators had the rights of the user "
+        "who ran the board: their rows hold only if that user trusts their code."
     )
 
 
@@ -178,10 +171,9 @@ def _verified_for(
 def _kernel_notes(
     results: Sequence[Result], verified: Mapping[str, Sequence[Verified]]
 ) -> list[str]:
-    """Return a note on the rows of a task that are not known to agree with the kernels of most.
-
-    A row agrees if it was verified on them within the tolerance, or says that it was made with
-    them and was not run there again: what it says of its machine is taken on trust.
+    """Return a note on the rows of a task that are not known to agree with the kernels of most: by
+    what was verified on them within the tolerance, or, if they were not run there again, by what
+    they say of their machine, which is taken on trust.
     """
     made = {result.estimator: kernels_of(result.environment) for result in results}
     usual = _most_frequent(made)
@@ -211,9 +203,7 @@ def _kernel_notes(
 
 
 def _version_notes(results: Sequence[Result]) -> list[str]:
-    """Return a note on the rows of a task that were made with another version of a library than
-    most, or of Python but for its last number.
-    """
+    """Return notes on rows of another version than most of a library, or Python's first numbers."""
     notes = []
     for name in ("python", *LIBRARIES):
         made = {r.estimator: r.environment[name] for r in results if name in r.environment}
@@ -226,12 +216,6 @@ def _version_notes(results: Sequence[Result]) -> list[str]:
 def _minor_versions(versions: str) -> Iterable[str]:
     """Return 3.11 and 3.12 of "3.11.4 or 3.11.5 or 3.12.0", the versions of the parts of a row."""
     return dict.fromkeys(version.rpartition(".")[0] for version in versions.split(" or "))
-
-
-def _seed_notes(trainings: Mapping[str, int]) -> list[str]:
-    """Return a note on the rows that were trained with another number of seeds than most."""
-    made = {name: f"{n} training seed{'s' * (n > 1)}" for name, n in trainings.items()}
-    return _notes_on_others(made, "ran with {}, the others with {}")
 
 
 def _notes_on_others(made: Mapping[str, str], text: str) -> list[str]:

@@ -37,12 +37,12 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | 
     ends = [(row.values.get("low"), row.values.get("high")) for row in rows]
     labels = {
         f'<a href="estimators/{file_name(row.name)}">{row.name}</a>  '
-        f"<b>{score.format_value(x)}</b>": score.factor * x
+        f"<b>{score.format_value(x)}</b>": x
         for row, x in zip(rows, values, strict=True)
     }
     pattern = {"shape": ["/" if row.causal else "" for row in rows], "fillmode": "replace"}
     bars = {
-        **fig.interval_bars("entries", labels, scaled(ends, score.factor)),
+        **fig.interval_bars("entries", labels, ends, score.factor),
         "marker": {"color": [fig.colour(row.name) for row in rows], "pattern": pattern},
         "hovertext": [
             f"{row.name}: {score.text(x)}"
@@ -71,16 +71,6 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | 
     return fig.chart(title, {"": {"data": [bars]}}, layout)
 
 
-def scaled(
-    ends: Iterable[tuple[float | None, float | None]], factor: float
-) -> list[tuple[float | None, float | None]]:
-    """Return intervals in the unit in which a score is printed."""
-    return [
-        (None, None) if low is None or high is None else (factor * low, factor * high)
-        for low, high in ends
-    ]
-
-
 def _marked_values(section: Section, key: str) -> dict[str, float]:
     """Return bound and baselines by label, smallest first; equal ones share a label."""
     found: dict[str, tuple[list[str], float]] = {}
@@ -107,11 +97,9 @@ def strip_chart(
         return None
     trace = next(iter(traces.values()))
     lines = height_lines(traces, side=0, kind="inside")
-    first = lines[0]["x0"]
+    shown = [fig.rounded(lines[0]["x0"] + x) for x in (0.0, _STRIP_LENGTH)]
     layout = {"height": 310, "margin": {"l": 56, "r": 8, "t": 34, "b": 44}, **HEIGHT_AXES}
-    layout["xaxis"] = layout["xaxis"] | {
-        "range": [fig.rounded(first), fig.rounded(first + _STRIP_LENGTH)]
-    }
+    layout["xaxis"] = layout["xaxis"] | {"range": shown}
     caption = (
         f"Left wheel path of {trace.road} at {trace.speed_kmh:g} km/h, in the band that the "
         "sensors observe"
@@ -126,8 +114,7 @@ def levels_chart(claims: Sequence[float]) -> fig.Chart:
     x = [fig.rounded(error, 4) for error in sorted((100.0 * errors).tolist())]
     y = [fig.rounded(100.0 * (k + 1) / len(x), 4) for k in range(len(x))]
     hover = "%{y:.0f} % below %{x:.1f} %<extra></extra>"
-    look = {"line": {"color": "var(--line-1)"}, "hovertemplate": hover}
-    line = fig.curve("unrelated roads", x, y, **look)
+    line = fig.curve("unrelated roads", x, y, line={"color": "var(--line-1)"}, hovertemplate=hover)
     layout = {
         "height": 280,
         "showlegend": False,

@@ -15,10 +15,7 @@ FRAME_BANDS = (0.0, 10.0, 14.0, 100.0)  # limits of the groups of frames [Hz]
 
 
 def run_groups(task: Task) -> dict[str, dict[str, ScoreSlice]]:
-    """Return the groups of runs of a task by kind and name, as slices of roads and conditions.
-
-    Kinds with a single group are left out.
-    """
+    """Return the groups of runs of a task by kind, if it has several, and name."""
     every, design = slice(None), task.test.design
 
     def runs(conditions: list[int]) -> ScoreSlice:  # of the roads that are driven under them
@@ -27,16 +24,15 @@ def run_groups(task: Task) -> dict[str, dict[str, ScoreSlice]]:
         roads = sorted({road for k in conditions for road in design[k]})
         return np.array(roads)[:, None], conditions
 
-    conditions = {c.label: runs([k]) for k, c in enumerate(task.conditions)}
-    families: dict[str, ScoreSlice] = {
-        family: (task.test.indices_of_family(family), every)
-        for family in dict.fromkeys(task.test.families)
+    def of_conditions(names: list[str]) -> dict[str, ScoreSlice]:
+        return {name: runs([k for k, x in enumerate(names) if x == name]) for name in names}
+
+    kinds: dict[str, dict[str, ScoreSlice]] = {
+        "condition": of_conditions([c.label for c in task.conditions]),
+        "family": {x: (task.test.indices_of_family(x), every) for x in task.test.families},
+        "car": of_conditions([f"car {c.grade}" for c in task.conditions]),
+        "frame": _frames(task),
     }
-    grades: dict[str, ScoreSlice] = {
-        f"car {grade}": runs([k for k, c in enumerate(task.conditions) if c.grade == grade])
-        for grade in dict.fromkeys(c.grade for c in task.conditions)
-    }
-    kinds = {"condition": conditions, "family": families, "car": grades, "frame": _frames(task)}
     return {kind: parts for kind, parts in kinds.items() if len(parts) > 1}
 
 

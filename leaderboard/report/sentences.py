@@ -25,10 +25,8 @@ from road_envs.roads import load_road
 
 PAPER_NETWORK = "static_lm"  # the estimator that implements the paper's network
 
-_N_PAIRS = 200  # number of pairs of unrelated roads
-
+_N_PAIRS = 200  # number of pairs of unrelated roads, of the class of the training roads
 UNRELATED_ROAD = {"kind": "iso8608", "road_class": "D", "length": 100.0}
-"""Road of the pairs, of the class of the training roads."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +47,8 @@ def build_report(board: Board) -> Report:
 def unrelated_level_errors(
     longest_wave: float = 20.0, about_mean: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return level errors (2 _N_PAIRS,) and correlations (_N_PAIRS,) of unrelated class-D roads.
-
-    Level errors are those of single wheel paths, of heights about their mean or about the first
-    one. The two roads of a pair are 100 m of the same class and independent.
+    """Return level errors (2 _N_PAIRS,), of single wheel paths, about their mean or first height,
+    and correlations (_N_PAIRS,) of pairs of independent class-D roads of 100 m.
     """
     levels: list[float] = []
     r: list[float] = []
@@ -119,13 +115,11 @@ def headline(section: Section, definition: BoardDefinition) -> list[str]:
         return []
     best, *others = scored
     tied = [row.name for row in others if row.values.get(rank) == best.values.get(rank)]
-    return [
-        _best_sentence(best, tied, definition),
-        *([_others_sentence(best, others, definition)] if others else []),
-        _certainty_sentence(best, tied, others[0], section, definition)
-        if others
-        else f"It is the only {ranked_kind(definition)}.",
-    ]
+    first = _best_sentence(best, tied, definition)
+    if not others:
+        return [first, f"It is the only {ranked_kind(definition)}."]
+    certainty = _certainty_sentence(best, tied, others[0], section, definition)
+    return [first, _others_sentence(best, others, definition), certainty]
 
 
 def scored_rows(section: Section, definition: BoardDefinition) -> list[Row]:

@@ -44,24 +44,19 @@ _NO_TRAINING = 0.05  # time [s] up to which an entry without parameters has not 
 TRAINING_STATES = ("near_optimal", "sub_optimal", "unstable")
 ALL_RUNS = ""  # name of the group of all runs
 
-SPECTRUM_SCORES = tuple(name for name in SCORES if name.startswith("error_at_"))
-"""Score keys of the third-octave errors."""
+SPECTRUM_SCORES = tuple(name for name in SCORES if name.startswith("error_at_"))  # third octaves
 
 _Values = dict[str, float | None]  # numbers by column; None where one is undefined
-
 _LIMITS = ("bound_nrmse", "attainable_nrmse")
-_BOUNDED = [[*SCORES].index(name) for name in ("nrmse", "bound_nrmse")]
-"""Positions of the error and of its bound among the scores."""
-
+_BOUNDED = [[*SCORES].index(name) for name in ("nrmse", "bound_nrmse")]  # the error and its bound
 _OF_DEVIATIONS = np.array([name.startswith(("crps", "coverage_")) for name in SCORES])
 """Whether a score is one of the deviations that an entry gives."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One entry: `cells` (text) and `values` by column, or a `message` instead.
-
-    `groups` has the values again over each condition and each family of roads, by name.
+    """One entry: `cells` (text) and `values` by column, over all runs and, in `groups`, over each
+    group by name, or a `message` instead.
     """
 
     name: str
@@ -75,10 +70,8 @@ class Row:
 
 @dataclass(frozen=True)
 class Section:
-    """The rows of one task, best first, with notes for the reader.
-
-    Intervals and ranks need MIN_ROADS roads. `groups` names conditions and families if there is
-    more than one of a kind.
+    """The rows of one task, best first, with notes for the reader. `groups` names conditions,
+    families and others by kind if there is more than one.
     """
 
     task: Task
@@ -97,18 +90,17 @@ class BoardView:
 
 
 def board_views(board: Board) -> list[BoardView]:
-    """Return the boards that have a task: those of a season or of other roads that are not public
-    before others, then the main one.
+    """Return the boards that have a task: those of roads that are not public before others, then
+    the main one.
     """
     definitions = {task.board_name: task.board_definition for task in board.tasks}
     sealed = {task.board_name for task in board.tasks if not task.is_public}
-
-    def view(name: str, definition: BoardDefinition) -> BoardView:
-        tasks = (task for task in board.tasks if task.board_name == name)
-        return BoardView(name, definition, tuple(_section(board, x, definition) for x in tasks))
-
     ordered = sorted(definitions.items(), key=lambda item: (item[0] not in sealed, item[1].order))
-    return [view(*item) for item in ordered]
+    of_board = {name: [x for x in board.tasks if x.board_name == name] for name in definitions}
+    return [
+        BoardView(name, own, tuple(_section(board, task, own) for task in of_board[name]))
+        for name, own in ordered
+    ]
 
 
 def nonempty_columns(view: BoardView, *sections: Section) -> list[Column]:
@@ -168,16 +160,13 @@ def _aggregate(
     parts: Mapping[str, ScoreSlice],
     on_level: np.ndarray,
 ) -> _AggregatedScores:
-    """Average the scores of a result over all runs and over each group.
-
-    Runs `on_level` (R, C) roads have no ranking score, which counts against no entry; one that
-    lacks it on another run has none at all.
+    """Average the scores of a result over all runs and over each group. Runs `on_level` (R, C)
+    roads have no ranking score, which counts against no entry; one that lacks it on another run has
+    none at all.
     """
     scores, strata = score_arrays(result.scores), task.test.strata
-    shown = (
-        {*definition.columns, *definition.on_request, *SPECTRUM_SCORES}
-        | {definition.ranks_by, *_LIMITS}
-    )  # fmt: skip
+    shown = {*definition.columns, *definition.on_request, definition.ranks_by}
+    shown |= {*SPECTRUM_SCORES, *_LIMITS}
     ranked = scores[[*SCORES].index(definition.ranks_by)]
     missing = np.isnan(scores) & np.isfinite(scores).any(axis=0) & ~on_level[:, :, None]
     is_unranked = missing[[*SCORES].index(definition.ranks_by)].any()
@@ -227,9 +216,8 @@ def train_seconds(result: Result) -> float | None:
 
 
 def training_counts(results: Sequence[Result]) -> dict[str, int]:
-    """Return the number of training seeds by estimator, of those whose training depends on them.
-
-    One that was asked for several and has the runs of one depends on none.
+    """Return the number of training seeds by estimator, of those whose training depends on them:
+    not of one that was asked for several and has the runs of one.
     """
     return {
         result.estimator: len(result.seeds)
@@ -270,9 +258,7 @@ def _rank(
     strata: Strata,
     definition: BoardDefinition,
 ) -> None:
-    """Add the ranks in every group of MIN_ROADS roads, among all entries and the causal ones, or
-    among these alone if the board has no other division; none to an entry without the score there.
-    """
+    """Add the ranks in every group of MIN_ROADS roads and division, if entries have the score."""
     by_name = {x.result.estimator: x for x in tables if x.result.role == "entry"}
     causal = {name: x for name, x in by_name.items() if x.result.causal}
     divisions = {"offline": by_name, "causal": causal}
@@ -297,10 +283,9 @@ def _scored_row(
         for name, x in {**dict.fromkeys(RANK_COLUMNS.values()), **mine}.items()
         if name in forms
     }
+    slope = mine.get("slope_low"), mine.get("slope_high")
     cells |= {
-        "slope_interval": interval_text(
-            mine.get("slope_low"), mine.get("slope_high"), forms["slope"]
-        ),
+        "slope_interval": interval_text(*slope, forms["slope"]),
         "interval": interval_text(mine["low"], mine["high"], forms[definition.ranks_by]),
         "states": "/".join(f"{mine[x]:.0f}" for x in TRAINING_STATES if x in mine),
         "probes": count_passed(card.probes) if card else "",
@@ -331,9 +316,7 @@ def _mean(scores: np.ndarray) -> np.ndarray:
 
 
 def _unknown_limits(scores: np.ndarray) -> dict[str, float]:
-    """Return NaN for each limit of the NRMSE that some drives (K, R, C, S) lack: its mean would be
-    of others than that of the NRMSE beside it.
-    """
+    """Return NaN for each limit that some drives lack: the NRMSE beside it would be of others."""
     driven = np.isfinite(scores[_BOUNDED[0]])
     lacking = (np.isnan(scores[[*SCORES].index(name)]) & driven for name in _LIMITS)
     return {name: np.nan for name, x in zip(_LIMITS, lacking, strict=True) if x.any()}
