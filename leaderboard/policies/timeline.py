@@ -76,14 +76,10 @@ def drive_chart(timelines: Mapping[str, Timeline]) -> Chart:
     seconds = max(float(line.t[-1] - line.t[0]) for line in timelines.values())
     time = axis("time [s]", 0.0, rounded(seconds, 4), anchor="y4")
     layout = {"height": 480, "barmode": "overlay", "xaxis": time}
-    strips: dict[str, Any] = {
-        "type": "category",
-        "categoryorder": "array",
-        "categoryarray": ("rear", "front"),
-    }
+    order: Any = {"categoryorder": "array", "categoryarray": ("rear", "front")}
     axes = {  # from above, each with its share of the height
         "yaxis": (axis("tyre load [kN]", 0.0, load), (0.80, 1.0)),
-        "yaxis2": (axis("", **strips, range=[-0.5, 1.5]), (0.58, 0.72)),
+        "yaxis2": (axis("", type="category", **order, range=[-0.5, 1.5]), (0.58, 0.72)),
         "yaxis3": (axis("heave [m/s²]", -heave, heave), (0.27, 0.50)),
         "yaxis4": (axis("roll [deg]", -roll, roll), (0.0, 0.19)),
     }

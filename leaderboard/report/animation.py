@@ -25,10 +25,8 @@ def animate(
     path: Path,
     progress: Callable[[str, float], None] = lambda text, share: None,
 ) -> None:
-    """Drive up to `seconds` of `RoadRecon-v0` and write the frames to `path` as an endless loop.
-
-    `path` ends in .gif or .webp and is written atomically; `progress` takes the work at hand and
-    the share done. Raises ConfigError for less than two frames, and for invalid `env_options`.
+    """Drive up to `seconds` of `RoadRecon-v0` and write the frames to `path`, .gif or .webp, as an
+    endless loop. Raises ConfigError for less than two frames, and for invalid `env_options`.
     """
     env = gymnasium.make(road_envs.ID, **{**env_options, "render_mode": "rgb_array"})
     rate = env.metadata["render_fps"]
@@ -71,9 +69,8 @@ def _quantized(frames: Iterator[np.ndarray]) -> Iterator[Any]:
     values = np.array(palette(), dtype=np.int16).reshape(-1, 3)
     last = None
     for frame in frames:
-        nearest = np.asarray(
-            Image.fromarray(frame).quantize(palette=colours, dither=Image.Dither.NONE)
-        )
+        indexed = Image.fromarray(frame).quantize(palette=colours, dither=Image.Dither.NONE)
+        nearest = np.asarray(indexed)
         if last is None:
             last = nearest
         at_edge = (frame != values[nearest]).any(axis=2)

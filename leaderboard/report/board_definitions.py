@@ -13,13 +13,12 @@ BELOW_BOUND = "below_bound"
 BOUND_NAME = "bound of a linear car without friction, from data below 25 Hz"
 """Name of the bound; estimators that use the nonlinear car and higher frequencies may be below."""
 
-BOUND_ROW, ATTAINABLE_ROW = LIMIT_ROWS = ("bound", "attainable")
-"""Names of the rows that are no estimator's: the information bound, the attainable error."""
+BOUND_ROW = "bound"
+LIMIT_ROWS = (BOUND_ROW, "attainable")  # rows that are no estimator's
 
 RANK_COLUMNS = {"offline": "rank", "causal": "rank_causal"}  # column with the ranks of a division
 
-TEXT_COLUMNS = ("interval", "states", "slope_interval", "calibrates")
-"""Columns that are not a single number."""
+TEXT_COLUMNS = ("interval", "states", "slope_interval", "calibrates")  # no single numbers
 
 
 @dataclass(frozen=True)
@@ -34,16 +33,11 @@ _DERIVED = read_yaml(folder() / "report" / "derived_columns.yaml")
 COLUMNS: dict[str, Metric] = SCORES | {key: Metric(key, **form) for key, form in _DERIVED.items()}
 """Every column by key: the scores, and what is derived from them."""
 
-_OF_RANKING = (WORST, "slope", *(key for key in _DERIVED if key.startswith("grade_")))
-"""Columns of values of the ranking score."""
-
 
 def column_forms(definition: BoardDefinition) -> dict[str, Metric]:
-    """Return COLUMNS as a board shows them: _OF_RANKING in the unit of its ranking score, with no
-    more decimals.
-    """
+    """Return COLUMNS as a board shows them: values of its ranking score in its unit and digits."""
     score, forms = COLUMNS[definition.ranks_by], dict(COLUMNS)
-    for key in _OF_RANKING:
+    for key in (WORST, "slope", *(key for key in _DERIVED if key.startswith("grade_"))):
         unit = f"{score.unit} {forms[key].unit}".strip()
         digits = min(score.digits, forms[key].digits)
         forms[key] = replace(forms[key], unit=unit, factor=score.factor, digits=digits)
