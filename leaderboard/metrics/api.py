@@ -24,9 +24,7 @@ from leaderboard.metrics.alignment import align_locally
 from road_envs.records.record import Estimate, Profile
 from road_envs.records.roughness import displacement_psd
 
-PERCENT: Any = {"unit": "%", "factor": 100.0, "digits": 0}
-"""Format of a share."""
-
+PERCENT: Any = {"unit": "%", "factor": 100.0, "digits": 0}  # format of a share
 _HEIGHT_LIMIT = 1e6  # [m] to which estimates are clipped: an absurd one still has a score
 
 

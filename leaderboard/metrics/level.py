@@ -4,10 +4,7 @@ from leaderboard.metrics import heights
 from leaderboard.metrics.api import PERCENT, Metric, ScoredEstimate, metrics
 
 EQ_12_RAW = "level_error_raw"  # key of the paper's equation 12 as printed: raw heights
-
-STATE_LIMITS = (0.15, 0.25)
-"""Equation 12 up to which a training is near-optimal, and sub-optimal (Appendix A of the paper)."""
-
+STATE_LIMITS = (0.15, 0.25)  # eq. 12 of a near-optimal and a sub-optimal training (Appendix A)
 _FORM = PERCENT | {"digits": 1}
 
 

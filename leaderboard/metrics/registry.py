@@ -3,8 +3,7 @@
 from leaderboard.metrics import agreement, level, obstacles, pointwise, roughness
 from leaderboard.metrics.api import Metric, ScoredEstimate
 
-MODULES = (pointwise, level, roughness, agreement, obstacles)
-"""Modules of metrics, in the order of the table of scores."""
+MODULES = (pointwise, level, roughness, agreement, obstacles)  # in the order of the table of scores
 
 
 def _declared(module: object) -> list[Metric]:
@@ -14,13 +13,12 @@ def _declared(module: object) -> list[Metric]:
 
 SCORES = {metric.key: metric for module in MODULES for metric in _declared(module)}
 
-PRINTED_SCORES = (
+PRINTED_SCORES = (  # of one estimate; there are three times as many
     "nrmse", "nrmse_left", "nrmse_right", "nrmse_at_lag", "nrmse_aligned", "lag", "r", "coherence",
     "level_error", "level_error_raw", "G_d0_bias_db", "class_exact", "fitted_class",
     "dsd_distance_db", "iri_error", "iri_bias", "iri_cross_correlation", "bump_recall",
     "bump_precision", "coverage_50", "coverage_90", "coverage_90_aligned",
 )  # fmt: skip
-"""Scores that are printed of one estimate; there are three times as many."""
 
 
 def compute_scores(scored: ScoredEstimate) -> dict[str, float]:

@@ -29,11 +29,8 @@ from road_envs.policies.rollout import Drives, Rollout, drive_all
 BEST_FOUND = "best found"  # name of the row of `best_found.search`
 REFERENCE = "rrms"  # policy that differences refer to by default
 PUBLIC_DRIVES = 8  # number of public drives; each is driven to both sides
-
 _SHORTEST_SEAL = 16  # characters: a policy can draw the drives of a thousand texts in a second
-
 _SEARCH_SEEDS = (1, 2)
-
 TIE = 0.01  # difference of scores [m²/s⁴] within which two policies are even on a drive
 
 GROUPS: Mapping[str, tuple[str, str]] = {
@@ -66,9 +63,8 @@ class Comparison:
 
 
 def public_drives(number: int = PUBLIC_DRIVES, seal: str | None = None) -> Drives:
-    """Return the public drives, or the sealed ones: both groups in turn, each to both sides.
-
-    Raises ConfigError for a short `seal`.
+    """Return the public drives, or the sealed ones: both groups in turn, each to both sides. Raises
+    ConfigError for a short `seal`.
     """
     if seal is not None and len(seal) < _SHORTEST_SEAL:
         raise ConfigError(
@@ -88,10 +84,8 @@ def compare(
     sweeps: int = best_found.SWEEPS,
     progress: Progress = lambda text, share: None,
 ) -> Comparison:
-    """Compare all policies and the best switching found.
-
-    A policy that raises an error is a row with its failure. Without `sweeps` nothing is searched.
-    Raises ConfigError if the reference is not among the policies.
+    """Compare all policies, of which one that raises an error is a row with its failure, and, if
+    there are `sweeps`, the best switching found. Raises ConfigError for an unknown reference.
     """
     validate_choice("reference", reference, list(policies))
     rollouts: dict[str, Rollout] = {}
@@ -132,10 +126,9 @@ def compare(
 
 def _label(drive: SafeDrive) -> str:
     """Return a description such as "j turn to the left, class C then D, 47 km/h, S1, known"."""
-    kind = drive.severe.replace("_", " ")
     return (
-        f"{kind} to the {drive.side}, class {drive.road} then {drive.road_after}, "
-        f"{drive.speed_kmh:.0f} km/h, {drive.grade}, {drive.group}"
+        f"{drive.severe.replace('_', ' ')} to the {drive.side}, class {drive.road} then "
+        f"{drive.road_after}, {drive.speed_kmh:.0f} km/h, {drive.grade}, {drive.group}"
     )
 
 
@@ -151,9 +144,7 @@ def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> d
         "comfort": interval(rollout.comfort, groups["known"]),
         "violations": float(violated.mean()),
         "worst": _round(score.min()),
-        **{
-            key: _round(totals[key].mean()) for key in ("cost", "stop", "lift_off", "load_transfer")
-        },
+        **{x: _round(totals[x].mean()) for x in ("cost", "stop", "lift_off", "load_transfer")},
         "roll": _round(np.degrees(totals["roll"]).max()),
         "tyre_load": _round(np.sqrt(totals["tyre_load"] / rollout.duration).mean()),
         "switches": _round((switched.sum(axis=0) / rollout.duration).mean()),
@@ -176,10 +167,9 @@ def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> d
 def interval(
     x: np.ndarray, families: np.ndarray | None = None, mirrored: bool = True
 ) -> dict[str, float]:
-    """Return the mean of `x` (N,) or (S, N), and its 95 % interval over S seeds and N drives.
-
-    Drives are drawn in pairs if they are `mirrored`, and within each of their `families` (N,). Of
-    fewer than MIN_ROADS drives or pairs the interval is NaN.
+    """Return the mean of `x` (N,) or (S, N), and its 95 % interval over S seeds and N drives, drawn
+    within each of their `families` (N,), in pairs if they are `mirrored`; NaN of fewer than
+    MIN_ROADS drives or pairs.
     """
     pairs = np.atleast_2d(x)
     pairs = pairs.reshape(len(pairs), -1, 1 + mirrored).mean(axis=2).T[:, None, :]

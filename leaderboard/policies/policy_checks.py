@@ -39,19 +39,15 @@ OPTIONS: Mapping[str, Any] = {
     "observe": ["accelerations", "planar", "struts"],
 }
 SEEDS = range(4)  # seeds of the roads, one for each vehicle
-
-_REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")
-"""Errors by which a policy may refuse an action space or an observation on purpose."""
-
+_REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")  # on purpose
 _LONGEST_DRIVE = 30.0  # [s] of a comparison, for which the run time is predicted
 
 
 def check_policy(
     reference: str, settings: Mapping[str, Any] | None = None, limits: Limits = POLICY_LIMITS
 ) -> list[CheckResult]:
-    """Run all checks of the policy `reference`, as `make_policy` takes it.
-
-    Stops after the first check of a policy that does not run.
+    """Run all checks of the policy `reference`, as `make_policy` takes it; the first alone of one
+    that does not run.
     """
     with PolicyProcess(reference, settings, limits) as policy:
         try:
@@ -63,7 +59,7 @@ def check_policy(
             roll_out(create(name), dict(OPTIONS), SEEDS).returns.mean()
             for name in ("fixed_ride", "fixed_handling")
         )
-        spaces = {control: _short(policy, control=control) for control in ("vehicle", "axle")}
+        spaces = {x: _short(policy, control=x) for x in ("vehicle", "axle")}
         fewer = {"accelerations alone": _short(policy, observe=["accelerations"])}
         ran = (
             f"{len(SEEDS)} lane changes on class D, in a process of its own: return "
@@ -149,10 +145,8 @@ def _damaged_sensors(policy: PolicyProcess, observations: np.ndarray) -> _Verdic
 
 
 def _costs(limits: Limits, seconds: Sequence[float], memory: float) -> list[CheckResult]:
-    """Check time and memory against the limits of a comparison.
-
-    `seconds` are those of each call with the vehicles of SEEDS; the longest call, which may prepare
-    tables, counts once.
+    """Check memory, and the `seconds` of each call with the vehicles of SEEDS, against the limits
+    of a comparison; the longest call, which may prepare tables, counts once.
     """
     calls = SafeOptions().control_rate * _LONGEST_DRIVE
     once = max(seconds)

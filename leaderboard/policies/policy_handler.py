@@ -17,9 +17,8 @@ from road_envs.policies import make_policy
 
 
 def make_handler(code: str | None) -> messages.Handler:
-    """Return the handler of one policy, whose code lies in the folder `code`.
-
-    A policy that has raised an error is made anew at the next reset.
+    """Return the handler of one policy, whose code lies in the folder `code`; after an error it is
+    made anew at the next reset.
     """
     if code is not None:
         sys.path.insert(0, code)

@@ -29,11 +29,8 @@ from road_envs.policies.api import PolicyContext, PolicyError
 
 _STARTUP_SECONDS = 60.0  # time [s] in which the process must have loaded the policy
 _LONGEST_COMPARISON = 1e5  # time [s] of all its cases, after which the kernel ends a process
-
 POLICY_LIMITS = Limits(seconds=120.0, memory=2.0, isolation="process")
-"""Limits of a policy: the time is that for all vehicles of a case. Only code from outside this
-package is run with the isolation "bubblewrap".
-"""
+"""The time is that for all vehicles of a case. Only code from outside is run in "bubblewrap"."""
 
 
 class PolicyProcess:
@@ -106,9 +103,8 @@ class PolicyProcess:
         return start_guest(module, home, limits, isolated=isolated, code=code)
 
     def _code(self, folder: Path) -> Path | None:
-        """Return `folder` with a copy of the code, which is not imported here.
-
-        None for a policy of this package. Raises EntryError, and ConfigError for an unknown name.
+        """Return `folder` with a copy of the code, which is not imported here, None for a policy of
+        this package. Raises EntryError, and ConfigError for an unknown name.
         """
         if not runs_foreign_code(self.reference):
             return None
@@ -120,10 +116,7 @@ class PolicyProcess:
         return folder
 
     def _forget_others(self) -> None:
-        """Let the policy before, if it is another one, tell this one nothing of the drives.
-
-        Before the first guest of a command came those of commands before, with the same seal.
-        """
+        """Let no other policy, nor one of commands before, tell this one anything of the drives."""
         reference, pipes = PolicyProcess.last_guest or ("", bubblewrap.count_pipes())
         if reference != self.reference:
             pipes = bubblewrap.forget_guests(pipes)

@@ -12,7 +12,6 @@ from road_envs.vehicle.equations import PHI, Z_B
 from road_envs.vehicle.suspension import MODES, WHEELS, decode_commands
 
 _POINTS_PER_SECOND = 50.0  # sample rate [Hz] of the drawn curves
-
 MODE_NAMES = tuple(MODES)
 _MODE_COLOURS = {  # ride mode is drawn as a gap
     "handling": "var(--line-0)",

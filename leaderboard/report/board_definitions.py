@@ -15,9 +15,7 @@ BOUND_NAME = "bound of a linear car without friction, from data below 25 Hz"
 
 BOUND_ROW = "bound"
 LIMIT_ROWS = (BOUND_ROW, "attainable")  # rows that are no estimator's
-
 RANK_COLUMNS = {"offline": "rank", "causal": "rank_causal"}  # column with the ranks of a division
-
 TEXT_COLUMNS = ("interval", "states", "slope_interval", "calibrates")  # no single numbers
 
 
@@ -29,7 +27,6 @@ class Column(Metric):
 
 
 _DERIVED = read_yaml(folder() / "report" / "derived_columns.yaml")
-
 COLUMNS: dict[str, Metric] = SCORES | {key: Metric(key, **form) for key, form in _DERIVED.items()}
 """Every column by key: the scores, and what is derived from them."""
 

@@ -24,9 +24,7 @@ from leaderboard.running.board import Board
 
 _WORST_DRIVES = 3  # number of drives of a task with the largest errors that are listed
 _LABEL_LENGTH = 20  # length at which the name of a group is continued on a second line [characters]
-
 _NOMINAL_SHARES = np.linspace(0.05, 0.95, 19)  # probabilities of intervals that are calibrated
-
 _Evaluated = tuple[Section, Result, Row, BoardDefinition]  # a row of a board
 
 

@@ -21,7 +21,7 @@ _N_COLOURS = 7  # number of colours of lines in `static/site.css`: as many as th
 _DASHES = ("solid", "dash", "dot")  # dashes of the estimators in FAMILIES
 _OTHER_DASHES = ("dashdot", "longdash", "longdashdot")  # dashes of all other estimators
 
-FAMILIES = (
+FAMILIES = (  # those of one method have one colour on every page, and differ by their dashes
     ("map_smoother",),
     ("iterated_wiener", "wiener"),
     ("kalman_rts", "kalman_lag", "kalman"),
@@ -30,7 +30,6 @@ FAMILIES = (
     ("fir_ridge", "inverse_quarter_car"),
     ("static_lm", "narx"),
 )
-"""Estimators of one method have one colour on every page, and differ by their dashes."""
 
 _STYLES = {
     name: (k, dash)
@@ -39,7 +38,6 @@ _STYLES = {
 }
 INK, QUIET, BAND = "var(--ink)", "var(--quiet)", "var(--band)"
 TRUTH_LINE = {"color": "var(--truth)", "width": 4.0}
-
 Chart = dict[str, Any]
 
 

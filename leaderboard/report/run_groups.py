@@ -10,7 +10,6 @@ ScoreSlice = tuple[list[int] | slice | np.ndarray, list[int] | slice | np.ndarra
 """Index of roads and of conditions into scores (R, C, S), which keeps both axes."""
 
 _FLEXIBLE_GRADES = ("S2", "S3", "S4")  # grades of vehicles with a frame that twists
-
 FRAME_BANDS = (0.0, 10.0, 14.0, 100.0)  # limits of the groups of frames [Hz]
 
 

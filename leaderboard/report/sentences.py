@@ -24,7 +24,6 @@ from road_envs.records.record import PROFILE_SPACING, profile_stations
 from road_envs.roads import load_road
 
 PAPER_NETWORK = "static_lm"  # the estimator that implements the paper's network
-
 _N_PAIRS = 200  # number of pairs of unrelated roads, of the class of the training roads
 UNRELATED_ROAD = {"kind": "iso8608", "road_class": "D", "length": 100.0}
 

@@ -43,14 +43,11 @@ _RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
 _NO_TRAINING = 0.05  # time [s] up to which an entry without parameters has not trained
 TRAINING_STATES = ("near_optimal", "sub_optimal", "unstable")
 ALL_RUNS = ""  # name of the group of all runs
-
 SPECTRUM_SCORES = tuple(name for name in SCORES if name.startswith("error_at_"))  # third octaves
-
 _Values = dict[str, float | None]  # numbers by column; None where one is undefined
 _LIMITS = ("bound_nrmse", "attainable_nrmse")
 _BOUNDED = [[*SCORES].index(name) for name in ("nrmse", "bound_nrmse")]  # the error and its bound
 _OF_DEVIATIONS = np.array([name.startswith(("crps", "coverage_")) for name in SCORES])
-"""Whether a score is one of the deviations that an entry gives."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from leaderboard.report.sentences import Report
 from leaderboard.report.tables import BoardView, Row, Section, nonempty_columns
 
 _CASE_WIDTH = 18  # width of the column with the titles of the tasks that share a table [characters]
-
 _LOOK: Any = {"title_justify": "left", "box": None, "padding": (0, 1, 0, 0), "pad_edge": False}
 _STYLES = dict(scored="bold", baseline="dim", claim="italic", failed="red", stale="yellow")
 _LEGEND = (

@@ -22,8 +22,8 @@ RECORD = "submission.json"
 
 
 def signer(key: Path) -> Callable[[Path], str]:
-    """Return what signs the record in a folder with a private key, which is made if it does not
-    exist, and returns the public one. Raises ConfigError for a file that is no key.
+    """Return what signs the record in a folder with a private `key`, made if it does not exist, and
+    returns the public one. Raises ConfigError for a file that is no key.
     """
     ed25519, serialization = _library()
     if not key.exists():
@@ -52,7 +52,6 @@ def signer(key: Path) -> Callable[[Path], str]:
 
 def verify(folder: Path) -> str | None:
     """Return the public key that has signed the record in `folder`; None if it is not signed.
-
     Raises ConfigError for a signature that is not valid.
     """
     path = folder / FILE

@@ -41,7 +41,6 @@ SUBMISSION = Kind("submission", 1)
 RECORD, CARD = signature.RECORD, "card.yaml"
 _PARTS = "jobs"
 _UNSEALED = (RECORD, signature.FILE)  # files whose digests the record does not hold
-
 SUBMISSION_SHARE = 1.0
 """Share of the drives of a submission that are run again: a verification of some could be repeated
 until it misses the drives that were forged.
@@ -73,7 +72,6 @@ def make_submission(
     progress: _Progress = lambda text, share: None,
 ) -> tuple[_Submission, Board]:
     """Check an entry, run it by the `rules` and write the folder of its submission; with its board.
-
     What was driven before it was stopped or failed is not driven again. Raises ConfigError for a
     card that is not filled in, packages that boards lack, a failed check, a failed row, and a
     folder that exists or that another process makes.
@@ -142,11 +140,9 @@ def verify_submission(
     replaces: Path | None = None,
     progress: _Progress = lambda text, share: None,
 ) -> list[Verified]:
-    """Verify a submission: files, card, signature, code, rows, and a `share` of its drives again.
-
-    `replaces` is the folder of the submission as it stood before; its signer must have signed this
-    one. Returns what was found of every row. Raises ConfigError for a submission that is not
-    complete or not by the `rules`; a row that differs is returned.
+    """Verify files, card, signature, code, rows, and a `share` of the drives of a submission, which
+    the signer of `replaces`, its folder as it stood before, must have signed; what was found of
+    every row, also of one that differs. Raises ConfigError if it is not complete or not by `rules`.
     """
     record = load_submission(folder)
     signature.check_owner(folder, replaces)
