@@ -10,14 +10,8 @@ from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import MEMORY
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
+from leaderboard.report import board_definitions as boards
 from leaderboard.report import tables
-from leaderboard.report.board_definitions import (
-    COLUMNS,
-    WORST,
-    column_forms,
-    rank_column,
-    ranked_kind,
-)
 from leaderboard.report.tables import BoardView, Row, Section
 from leaderboard.running.board import Board
 from road_envs.records.record import PROFILE_SPACING, profile_stations
@@ -109,14 +103,14 @@ def findings(views: Sequence[BoardView]) -> tuple[str, ...]:
 
 def headline(section: Section, definition: BoardDefinition) -> list[str]:
     """Sentence on the best entry, the next ones and how sure that is, in plain words."""
-    scored, rank = scored_rows(section, definition), rank_column(definition)
+    scored, rank = scored_rows(section, definition), boards.rank_column(definition)
     if not scored:
         return []
     best, *others = scored
     tied = [row.name for row in others if row.values.get(rank) == best.values.get(rank)]
     first = _best_sentence(best, tied, definition)
     if not others:
-        return [first, f"It is the only {ranked_kind(definition)}."]
+        return [first, f"It is the only {boards.ranked_kind(definition)}."]
     certainty = _certainty_sentence(best, tied, others[0], section, definition)
     return [first, _others_sentence(best, others, definition), certainty]
 
@@ -160,15 +154,15 @@ def _memory(rows: Sequence[Row]) -> str:
 
 
 def _best_sentence(best: Row, tied: Sequence[str], definition: BoardDefinition) -> str:
-    key, forms = definition.ranks_by, column_forms(definition)
+    key, forms = definition.ranks_by, boards.column_forms(definition)
     low, high = best.values.get("low"), best.values.get("high")
     interval = tables.interval_text(low, high, forms[key])
     sure = "" if low is None else f", with 95\u00a0% confidence {interval}"
     scale = ", where an exact estimate has 0 and a flat road 1" if key == "nrmse" else ""
-    worst = best.values.get(WORST)
-    tail = "" if worst is None else f" On its worst drive it is {forms[WORST].text(worst)}."
+    worst = best.values.get(boards.WORST)
+    tail = "" if worst is None else f" On its worst drive it is {forms[boards.WORST].text(worst)}."
     error = forms[key].text(best.values[key])
-    among = " of the causal entries" * (ranked_kind(definition) != "entry")
+    among = " of the causal entries" * (boards.ranked_kind(definition) != "entry")
     is_best = f"has the lowest error{among}:" if tied else f"is best{among}: its error is"
     return f"{best.name} {is_best} {error}{scale}{sure}.{tail}"
 
@@ -178,7 +172,7 @@ def _others_sentence(best: Row, others: Sequence[Row], definition: BoardDefiniti
     key, second = definition.ranks_by, others[0]
 
     def score(row: Row) -> str:
-        return COLUMNS[key].text(row.values[key])
+        return boards.COLUMNS[key].text(row.values[key])
 
     text = f"{second.name} follows with {score(second)}"
     if (error := best.values[key]) and (behind := second.values[key]):
@@ -198,7 +192,7 @@ def _certainty_sentence(
     best: Row, tied: Sequence[str], second: Row, section: Section, definition: BoardDefinition
 ) -> str:
     """Sentence on the first place: of those further down, the first may leave none behind."""
-    if best.values.get(rank_column(definition)) is None:
+    if best.values.get(boards.rank_column(definition)) is None:
         return "Too few roads for a rank or an interval: another road may give another order."
     if tied:
         names = ", ".join(tied)

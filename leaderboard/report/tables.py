@@ -22,18 +22,7 @@ from leaderboard.metrics.api import Metric
 from leaderboard.metrics.bootstrap import MIN_ROADS, Interval, Strata, count_roads
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.metrics.registry import SCORES
-from leaderboard.report.board_definitions import (
-    BELOW_BOUND,
-    LIMIT_ROWS,
-    RANK_COLUMNS,
-    TAIL,
-    WORST,
-    Column,
-    board_columns,
-    column_forms,
-    rank_column,
-    ranked_kind,
-)
+from leaderboard.report import board_definitions as boards
 from leaderboard.report.notes import section_notes
 from leaderboard.report.run_groups import ScoreSlice, run_groups
 from leaderboard.running.board import Board
@@ -100,12 +89,12 @@ def board_views(board: Board) -> list[BoardView]:
     ]
 
 
-def nonempty_columns(view: BoardView, *sections: Section) -> list[Column]:
+def nonempty_columns(view: BoardView, *sections: Section) -> list[boards.Column]:
     """Return the columns in which at least one row of the sections has a value."""
     rows = [row for section in sections for row in section.rows]
     return [
         column
-        for column in board_columns(view.board, view.definition)
+        for column in boards.board_columns(view.board, view.definition)
         if any(row.cells.get(column.key, "") not in ("", UNDEFINED) for row in rows)
     ]
 
@@ -121,7 +110,8 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     rows = [_scored_row(x, definition, board.card(x.result)) for x in tables]
 
     def place(row: Row) -> tuple[bool, bool, float, float]:
-        rank, score = row.values.get(rank_column(definition)), row.values[definition.ranks_by]
+        rank = row.values.get(boards.rank_column(definition))
+        score = row.values[definition.ranks_by]
         outside = row.state != "scored", not is_ranked(row, definition)
         return *outside, rank or np.inf, np.inf if score is None else score
 
@@ -139,7 +129,7 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
 
 def is_ranked(row: Row, definition: BoardDefinition) -> bool:
     """Return whether a row is of an entry that its board orders."""
-    return row.state == "scored" and (bool(row.causal) or ranked_kind(definition) == "entry")
+    return row.state == "scored" and (bool(row.causal) or boards.ranked_kind(definition) == "entry")
 
 
 class _AggregatedScores(NamedTuple):
@@ -181,7 +171,7 @@ def _aggregate(
         below = np.mean(error[known] < bound[known]) if known.any() else None
         values[group] = _defined(
             {name: x for name, x in means.items() if group == ALL_RUNS or name in shown}
-            | {"low": score.low, "high": score.high, **_tail(own), BELOW_BOUND: below}
+            | {"low": score.low, "high": score.high, **_tail(own), boards.BELOW_BOUND: below}
         )
     values[ALL_RUNS] |= {
         "train_seconds": train_seconds(result),
@@ -226,13 +216,13 @@ def training_counts(results: Sequence[Result]) -> dict[str, int]:
 
 
 def _tail(ranked: np.ndarray) -> dict[str, float | None]:
-    """Worst drive, of MIN_ROADS roads or more, and shares of drives above the limits of TAIL."""
+    """Worst drive, of MIN_ROADS roads or more, and shares of drives above each limit."""
     runs = ranked[~np.isnan(ranked)]
     if not runs.size:
-        return dict.fromkeys([WORST, *TAIL])
-    shares = {name: float(np.mean(runs > limit)) for name, limit in TAIL.items()}
+        return dict.fromkeys([boards.WORST, *boards.TAIL])
+    shares = {name: float(np.mean(runs > limit)) for name, limit in boards.TAIL.items()}
     worst = float(runs.max()) if count_roads(ranked) >= MIN_ROADS else None
-    return {WORST: worst, **shares}
+    return {boards.WORST: worst, **shares}
 
 
 def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: Strata) -> _Values:
@@ -267,17 +257,17 @@ def _rank(
             scores = {name: x for name, x in every.items() if count_roads(x) >= MIN_ROADS}
             within = strata if group == ALL_RUNS else None
             for name, rank in bootstrap.rank_entries(scores, strata=within).items():
-                by_name[name].values[group][RANK_COLUMNS[division]] = rank
+                by_name[name].values[group][boards.RANK_COLUMNS[division]] = rank
 
 
 def _scored_row(
     table: _AggregatedScores, definition: BoardDefinition, card: EstimatorCard | None
 ) -> Row:
     result, mine = table.result, table.values[ALL_RUNS]
-    entry, forms = result.role == "entry", column_forms(definition)
+    entry, forms = result.role == "entry", boards.column_forms(definition)
     cells = {
         name: forms[name].format_value(x)
-        for name, x in {**dict.fromkeys(RANK_COLUMNS.values()), **mine}.items()
+        for name, x in {**dict.fromkeys(boards.RANK_COLUMNS.values()), **mine}.items()
         if name in forms
     }
     slope = mine.get("slope_low"), mine.get("slope_high")
@@ -296,7 +286,7 @@ def _scored_row(
 def _bound_rows(tables: Sequence[_AggregatedScores], definition: BoardDefinition) -> list[Row]:
     """Return the rows of bound and attainable error, as far as computed, if NRMSE ranks."""
     rows = []
-    for name, key in zip(LIMIT_ROWS, _LIMITS, strict=True):
+    for name, key in zip(boards.LIMIT_ROWS, _LIMITS, strict=True):
         for values in (x.values for x in tables if definition.ranks_by == "nrmse"):
             groups = {group: {"nrmse": x.get(key)} for group, x in values.items()}
             if any(x["nrmse"] is not None for x in groups.values()):
