@@ -91,7 +91,8 @@ class Metric:
     `label` names it in full, `head` at the top of a table column, `help` explains it in a sentence
     or two. Values are printed in `unit`; `better` tells which ones are good. It is a column on
     request of each of `boards`, beside those that list it themselves; `blank` stands for a value
-    that is not defined. Columns that a board derives from scores have no `compute`.
+    that is not defined. Columns that a board derives from scores have no `compute`; `wide` ones are
+    shown on request only.
     """
 
     key: str
@@ -105,6 +106,7 @@ class Metric:
     boards: tuple[str, ...] = ()
     blank: str = UNDEFINED
     compute: Callable[[ScoredEstimate], float] | None = None
+    wide: bool = False
 
     def format_value(self, value: float | None) -> str:
         """Return the value as text; `blank` if it is missing or not finite."""

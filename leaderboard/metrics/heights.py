@@ -138,20 +138,14 @@ def uncertainty(y: np.ndarray, a: np.ndarray, sigma: np.ndarray) -> _Uncertainty
     passed, K < M: the drift outside the band cannot be observed. With a `sigma` of 0, only an error
     of 0 lies inside the intervals.
     """
-    e = a - y
+    e = np.abs(a - y)
     trim = (sigma.shape[-1] - e.shape[-1]) // 2
     sigma = sigma[:, trim : trim + e.shape[-1]]
-    shares = [float(np.mean(np.abs(e) <= ndtri(0.5 + 0.5 * p) * sigma)) for p in (0.5, 0.9)]
-    return _Uncertainty(crps(e, sigma), *shares)
-
-
-def crps(e: np.ndarray, sigma: np.ndarray) -> float:
-    """Return the mean CRPS [m] of normal forecasts with errors `e` and deviations `sigma` [m]."""
-    e = np.abs(e)
+    shares = [float(np.mean(e <= ndtri(0.5 + 0.5 * p) * sigma)) for p in (0.5, 0.9)]
     x = np.divide(e, sigma, out=np.full_like(e, np.inf), where=sigma > 0)
     density = np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi)
     spread = sigma * (2.0 * density - 1.0 / np.sqrt(np.pi))
-    return float(np.mean(e * (2.0 * ndtr(x) - 1.0) + spread))
+    return _Uncertainty(float(np.mean(e * (2.0 * ndtr(x) - 1.0) + spread)), *shares)
 
 
 def level_error(y: np.ndarray, a: np.ndarray) -> _Sides:

@@ -48,9 +48,8 @@ class Timeline(NamedTuple):
                 break
         sampled = slice(None, None, max(1, round(1.0 / (_POINTS_PER_SECOND * fleet.step))))
         names = ("t", "s", "v", "commands", "signals")
-        motion = Trajectory(
-            *(np.concatenate([getattr(part, name) for part in parts])[sampled] for name in names)
-        )
+        columns = (np.concatenate([getattr(x, name) for x in parts])[sampled] for name in names)
+        motion = Trajectory(*columns)
         stiff, high = decode_commands(motion.commands)
         flags = list(MODES.values())
         states = [

@@ -1,6 +1,6 @@
 """Columns of the boards: every metric, and what a board derives from the scores and the runs."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.metrics.api import Metric
@@ -17,13 +17,6 @@ BOUND_ROW = "bound"
 LIMIT_ROWS = (BOUND_ROW, "attainable")  # rows that are no estimator's
 RANK_COLUMNS = {"offline": "rank", "causal": "rank_causal"}  # column with the ranks of a division
 TEXT_COLUMNS = ("interval", "states", "slope_interval", "calibrates")  # no single numbers
-
-
-@dataclass(frozen=True)
-class Column(Metric):
-    """A metric in a table, labelled by its head; `wide` ones are shown on request only."""
-
-    wide: bool = False
 
 
 _DERIVED = read_yaml(folder() / "report" / "derived_columns.yaml")
@@ -51,8 +44,8 @@ def ranked_kind(definition: BoardDefinition) -> str:
     return "entry" if rank_column(definition) == RANK_COLUMNS["offline"] else "causal entry"
 
 
-def board_columns(name: str, definition: BoardDefinition) -> tuple[Column, ...]:
-    """Return the columns of a board in their order. Raises ConfigError for an unknown one."""
+def board_columns(name: str, definition: BoardDefinition) -> tuple[Metric, ...]:
+    """Return the columns of a board in their order, labelled by their heads. Raises ConfigError."""
     ranks = [RANK_COLUMNS[division] for division in definition.divisions]
     shown = [*ranks[:1], *definition.columns]
     for key in (*definition.columns, *definition.on_request):
@@ -60,6 +53,6 @@ def board_columns(name: str, definition: BoardDefinition) -> tuple[Column, ...]:
     declared = [metric.key for metric in SCORES.values() if name in metric.boards]
     keys = dict.fromkeys([*shown, *ranks, *definition.on_request, *declared])
     return tuple(
-        Column(**vars(form) | {"label": form.head or form.label, "wide": form.key not in shown})
+        replace(form, label=form.head or form.label, wide=form.key not in shown)
         for form in map(column_forms(definition).__getitem__, keys)
     )

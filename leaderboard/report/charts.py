@@ -5,7 +5,7 @@ standard deviation in that unit, of which the script makes a 90 % band.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -162,9 +162,7 @@ def _obstacle_marks(traces: Mapping[str, Trace], side: int) -> list[dict[str, An
     return marks
 
 
-def _marks(
-    name: str, kind: str, obstacles: Sequence[Obstacle], symbol: str, paint: str
-) -> dict[str, Any]:
+def _marks(name: str, kind: str, obstacles: list[Obstacle], symbol: str, paint: str) -> fig.Chart:
     return {
         "name": f"{name}: {kind}",
         "legendgroup": name,
@@ -181,11 +179,8 @@ def _density_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> fig.Chart:
     """Return densities over areas of every second class: half to twice its mean, of waviness 2."""
     n = list(_CLASS_FREQUENCIES)
     means = {x: [G * (m / N_0) ** -2.0 for m in n] for x, G in CLASSES.items() if x in "ACEG"}
-    look: dict[str, Any] = {"fillcolor": fig.BAND, "name": "class"}
-    areas = [
-        fig.area(n, [0.5 * G for G in mean], [2.0 * G for G in mean], **look)
-        for mean in means.values()
-    ]
+    own: Any = {"fillcolor": fig.BAND, "name": "class"}
+    areas = [fig.area(n, [0.5 * G for G in x], [2.0 * G for G in x], **own) for x in means.values()]
     look = {"showarrow": False, "xanchor": "right", "font": {"color": fig.QUIET}}
     letters = [  # annotations take powers of ten
         {"text": letter, "x": np.log10(n[1]), "y": fig.rounded(y, 4), **look}
@@ -283,16 +278,14 @@ def _runs_chart(
     """Return the performance profiles of scores (R, C, S), with their intervals."""
     thresholds = np.linspace(0.0, definition.scale, 41)
     x = [fig.rounded(limit) for limit in thresholds]
-    data = []
+    data, hover = [], "%{y:.0f} % of runs up to %{x:.2f}"
     for k, (name, values) in enumerate(scores.items()):
         profile = performance_profile(values, thresholds, replicates=_REPLICATES, strata=strata)
         share, low, high = (np.round(100.0 * y, 1).tolist() for y in profile)
         own = {"legendgroup": name, **_visibility(k)}
-        data.append(fig.area(x, low, high, fillcolor=f"{fig.colour(name)}2e", name=name, **own))
-        hover = "%{y:.0f} % of runs up to %{x:.2f}"
-        data.append(
-            fig.curve(name, x, share, line=fig.line_style(name), hovertemplate=hover, **own)
-        )
+        band = fig.area(x, low, high, fillcolor=f"{fig.colour(name)}2e", name=name, **own)
+        look = {"line": fig.line_style(name), "hovertemplate": hover, **own}
+        data += [band, fig.curve(name, x, share, **look)]
     layout = {
         "xaxis": fig.axis(SCORES[definition.ranks_by].label, 0.0, definition.scale),
         "yaxis": fig.axis("share of runs [%]", 0.0, 100.0),

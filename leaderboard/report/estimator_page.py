@@ -32,13 +32,8 @@ def page_values(
     board: Board, views: Sequence[BoardView], name: str, results: Sequence[tuple[Task, Result]]
 ) -> dict[str, Any]:
     """Return the values of the page of an entry, from its rows on all boards and its `results`."""
-    rows = [
-        (view, section, row)
-        for view in views
-        for section in view.sections
-        for row in section.rows
-        if row.name == name
-    ]
+    places = [(view, section) for view in views for section in view.sections]
+    rows = [(*place, row) for place in places for row in place[1].rows if row.name == name]
     by_task = {task.name: result for task, result in results}
     evaluated = [
         (section, by_task[section.task.name], row, view.definition)
@@ -94,10 +89,8 @@ def _charts(evaluated: Sequence[_Evaluated]) -> dict[str, fig.Chart]:
         "bargap": 0.3,
         "yaxis": fig.axis("", autorange="reversed", showgrid=False, fixedrange=True),
     }
-    shares = {
-        "xaxis": fig.axis("stated probability [%]", 0.0, 100.0),
-        "yaxis": fig.axis("errors inside [%]", 0.0, 100.0),
-    }
+    titles = {"xaxis": "stated probability [%]", "yaxis": "errors inside [%]"}
+    shares = {name: fig.axis(title, 0.0, 100.0) for name, title in titles.items()}
     made: dict[str, tuple[str, dict[str, Any], Callable[..., dict[str, Any] | None]]] = {
         "errors": ("Error by condition and family", ranked, _error_figure),
         "spectrum": ("Error over spatial frequency", ERROR_AXES, _spectrum_figure),
@@ -124,13 +117,8 @@ def _method(name: str) -> dict[str, Any] | None:
 def _paragraphs(documented: object) -> list[tuple[str, bool]]:
     """Return the paragraphs of a docstring, and whether each is indented: formulas, lists."""
     blocks = re.split(r"\n\s*\n", (inspect.getdoc(documented) or "").strip("\n"))
-    return [
-        (inspect.cleandoc(block), True)
-        if block.startswith(" ")
-        else (" ".join(block.split()), False)
-        for block in blocks
-        if block.strip()
-    ]
+    texts = [(x, x.startswith(" ")) for x in blocks if x.strip()]
+    return [(inspect.cleandoc(x) if own else " ".join(x.split()), own) for x, own in texts]
 
 
 def _error_figure(
@@ -176,16 +164,15 @@ def _calibration_figure(section: Section, result: Result, *_: Any) -> dict[str, 
         return None
     errors = np.concatenate(ratios)
     inside = [np.mean(errors <= norm.ppf(0.5 + share / 2.0)) for share in _NOMINAL_SHARES]
-    exact = {"color": fig.QUIET, "dash": "dot", "width": 1.2}
+    look = {"color": fig.QUIET, "dash": "dot", "width": 1.2}
+    exact = fig.curve("exact", [0, 100], [0, 100], line=look, hoverinfo="skip")
     x, y = ([fig.rounded(100.0 * s, 4) for s in shares] for shares in (_NOMINAL_SHARES, inside))
     measured = fig.curve(
         result.estimator, x, y, mode="lines+markers", line=fig.line_style(result.estimator),
         marker={"color": fig.colour(result.estimator)},
         hovertemplate="%{y:.0f} % of the errors inside the %{x:.0f} % interval",
     )  # fmt: skip
-    return {
-        "data": [fig.curve("exact", [0, 100], [0, 100], line=exact, hoverinfo="skip"), measured]
-    }
+    return {"data": [exact, measured]}
 
 
 def _standardized(trace: Trace) -> np.ndarray:

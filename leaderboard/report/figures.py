@@ -31,14 +31,10 @@ FAMILIES = (  # those of one method have one colour on every page, and differ by
     ("static_lm", "narx"),
 )
 
-_STYLES = {
-    name: (k, dash)
-    for k, family in enumerate(FAMILIES)
-    for name, dash in zip(family, _DASHES, strict=False)
-}
+_STYLES = {x: (k, _DASHES[j]) for k, family in enumerate(FAMILIES) for j, x in enumerate(family)}
 INK, QUIET, BAND = "var(--ink)", "var(--quiet)", "var(--band)"
 TRUTH_LINE = {"color": "var(--truth)", "width": 4.0}
-Chart = dict[str, Any]
+Chart = dict[str, Any]  # as a whole, or a part of it
 
 
 def colour(name: str) -> str:
@@ -57,9 +53,7 @@ def _style(name: str) -> tuple[int, str]:
     return _STYLES.get(name, (digest % _N_COLOURS, other))
 
 
-def chart(
-    title: str, figures: Mapping[str, Any], layout: Mapping[str, Any], by: Sequence[str] = ()
-) -> Chart:
+def chart(title: str, figures: Chart, layout: Chart, by: Sequence[str] = ()) -> Chart:
     """Return a chart; a single figure has the key ""."""
     return {"title": title, "by": list(by), "layout": dict(layout), "figures": dict(figures)}
 

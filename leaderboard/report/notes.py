@@ -39,6 +39,9 @@ _SHEET = attrgetter("fs", "f_alias", "noise_density", "speed_error")
 _SEARCHED = 2**40  # seeds below are found by trial, 100 000 in a second, in 130 days of a core
 
 
+_Known = Mapping[str, Sequence[Verified]]  # what was verified, by the content of the row
+
+
 def section_notes(
     board: Board, task: Task, rows: Sequence["Row"], level_drives: int, trainings: Mapping[str, int]
 ) -> tuple[str, ...]:
@@ -94,12 +97,9 @@ def sanity_warnings(rows: Sequence["Row"], ranks_by: str, is_public: bool = Fals
         elif mine is not None and bound is not None and mine < bound:
             share = f"on {below:.0%} of its drives{doubt * is_public}"
             warnings.append(f"{row.name} is below the {BOUND_NAME}, {share}")
-    for name, expected in (("flat", 1.0), (TRUTH_PLUS_NOISE, NOISE_LEVEL)):
-        mine = error.get(name)
-        if mine is not None and abs(mine - expected) > 0.1 * expected:
-            warnings.append(
-                f"the evaluation is faulty: {name} scores {mine:.3f} instead of {expected:g}"
-            )
+    for name, level in (("flat", 1.0), (TRUTH_PLUS_NOISE, NOISE_LEVEL)):
+        if (x := error.get(name)) is not None and abs(x - level) > 0.1 * level:
+            warnings.append(f"the evaluation is faulty: {name} scores {x:.3f} instead of {level:g}")
     return warnings
 
 
@@ -156,9 +156,7 @@ def isolation_notice(results: Iterable[Result]) -> str | None:
     )
 
 
-def _verified_for(
-    task: Task, verified: Mapping[str, Sequence[Verified]]
-) -> dict[str, list[Verified]]:
+def _verified_for(task: Task, verified: _Known) -> _Known:
     """Return what was verified less what agrees in another score than the task is ranked by."""
     rank = task.board_definition.ranks_by
     return {
@@ -167,9 +165,7 @@ def _verified_for(
     }
 
 
-def _kernel_notes(
-    results: Sequence[Result], verified: Mapping[str, Sequence[Verified]]
-) -> list[str]:
+def _kernel_notes(results: Sequence[Result], verified: _Known) -> list[str]:
     """Return a note on the rows of a task that are not known to agree with the kernels of most: by
     what was verified on them within the tolerance, or, if they were not run there again, by what
     they say of their machine, which is taken on trust.

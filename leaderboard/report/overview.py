@@ -52,14 +52,13 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | 
         "hovertemplate": "%{hovertext}<extra></extra>",
     }
     top = _MODEBAR_HEIGHT + _LABEL_HEIGHT * len(marks)
+    label = "error" if key == "nrmse" else score.heading
     layout = {
         "height": _BAR_HEIGHT * len(rows) + top + 44,
         "margin": {"l": 8, "r": 12, "t": top, "b": 44},
         "showlegend": False,
         "bargap": 0.25,
-        "xaxis": fig.axis(
-            "error" if key == "nrmse" else score.heading, 0.0, fig.rounded(score.factor * limit, 4)
-        ),
+        "xaxis": fig.axis(label, 0.0, fig.rounded(score.factor * limit, 4)),
         "yaxis": fig.axis("", autorange="reversed", ticks="", showgrid=False, fixedrange=True),
         "shapes": [fig.upright(score.factor * x, "dash") for x in marks.values()],
         "annotations": [  # left of its line, above the names, where there is room on any screen
@@ -79,9 +78,7 @@ def _marked_values(section: Section, key: str) -> dict[str, float]:
         if value is not None and row.state == "baseline":
             text = "linear bound" if row.name == BOUND_ROW else row.name.replace("_", " ")
             found.setdefault(COLUMNS[key].format_value(value), ([], value))[0].append(text)
-    marks = {
-        f"{', '.join(names)} {text}": fig.rounded(value) for text, (names, value) in found.items()
-    }
+    marks = {f"{', '.join(names)} {text}": fig.rounded(x) for text, (names, x) in found.items()}
     return dict(sorted(marks.items(), key=lambda item: item[1]))
 
 
@@ -100,10 +97,8 @@ def strip_chart(
     shown = [fig.rounded(lines[0]["x0"] + x) for x in (0.0, _STRIP_LENGTH)]
     layout = {"height": 310, "margin": {"l": 56, "r": 8, "t": 34, "b": 44}, **HEIGHT_AXES}
     layout["xaxis"] = layout["xaxis"] | {"range": shown}
-    caption = (
-        f"Left wheel path of {trace.road} at {trace.speed_kmh:g} km/h, in the band that the "
-        "sensors observe"
-    )
+    driven = f"Left wheel path of {trace.road} at {trace.speed_kmh:g} km/h"
+    caption = f"{driven}, in the band that the sensors observe"
     title = "Truth, best estimate and the paper's network along a road"
     return fig.chart(title, {"": {"data": lines, "caption": caption}}, layout)
 

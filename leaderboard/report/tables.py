@@ -89,7 +89,7 @@ def board_views(board: Board) -> list[BoardView]:
     ]
 
 
-def nonempty_columns(view: BoardView, *sections: Section) -> list[boards.Column]:
+def nonempty_columns(view: BoardView, *sections: Section) -> list[Metric]:
     """Return the columns in which at least one row of the sections has a value."""
     rows = [row for section in sections for row in section.rows]
     return [
@@ -132,7 +132,7 @@ def is_ranked(row: Row, definition: BoardDefinition) -> bool:
     return row.state == "scored" and (bool(row.causal) or boards.ranked_kind(definition) == "entry")
 
 
-class _AggregatedScores(NamedTuple):
+class _Averages(NamedTuple):
     """Means of a result by group and score; `ranked` (R, C, S) holds the ranking score."""
 
     result: Result
@@ -146,7 +146,7 @@ def _aggregate(
     definition: BoardDefinition,
     parts: Mapping[str, ScoreSlice],
     on_level: np.ndarray,
-) -> _AggregatedScores:
+) -> _Averages:
     """Average the scores of a result over all runs and over each group. Runs `on_level` (R, C)
     roads have no ranking score, which counts against no entry; one that lacks it on another run has
     none at all.
@@ -181,7 +181,7 @@ def _aggregate(
         **_training_states(scores[[*SCORES].index(EQ_12_RAW)]),
         **_grade_scores(ranked, parts, strata),
     }
-    return _AggregatedScores(result, values, ranked)
+    return _Averages(result, values, ranked)
 
 
 def level_runs(scored: Sequence[Result], definition: BoardDefinition) -> np.ndarray:
@@ -240,7 +240,7 @@ def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: S
 
 
 def _rank(
-    tables: Sequence[_AggregatedScores],
+    tables: Sequence[_Averages],
     parts: Mapping[str, ScoreSlice],
     strata: Strata,
     definition: BoardDefinition,
@@ -260,9 +260,7 @@ def _rank(
                 by_name[name].values[group][boards.RANK_COLUMNS[division]] = rank
 
 
-def _scored_row(
-    table: _AggregatedScores, definition: BoardDefinition, card: EstimatorCard | None
-) -> Row:
+def _scored_row(table: _Averages, definition: BoardDefinition, card: EstimatorCard | None) -> Row:
     result, mine = table.result, table.values[ALL_RUNS]
     entry, forms = result.role == "entry", boards.column_forms(definition)
     cells = {
@@ -283,7 +281,7 @@ def _scored_row(
     return Row(result.estimator, state, cells, mine, causal=result.causal, groups=groups)
 
 
-def _bound_rows(tables: Sequence[_AggregatedScores], definition: BoardDefinition) -> list[Row]:
+def _bound_rows(tables: Sequence[_Averages], definition: BoardDefinition) -> list[Row]:
     """Return the rows of bound and attainable error, as far as computed, if NRMSE ranks."""
     rows = []
     for name, key in zip(boards.LIMIT_ROWS, _LIMITS, strict=True):

@@ -116,10 +116,8 @@ def load_submission(folder: Path) -> _Submission:
             f"{folder}: the folder must have the name of its entry, {record.name!r}, which has up "
             "to 40 letters, digits, _ and -"
         )
-    for name in sorted(found.keys() ^ record.files.keys()):
-        raise ConfigError(
-            f"{folder / name}: {'not ' if name in found else 'missing, '}of the record"
-        )
+    for x in sorted(found.keys() ^ record.files.keys()):
+        raise ConfigError(f"{folder / x}: {'not ' if x in found else 'missing, '}of the record")
     for name in sorted(found):
         if found[name] != record.files[name]:
             raise ConfigError(
