@@ -40,11 +40,8 @@ def detect_obstacles(z: np.ndarray, ds: float, threshold: float) -> list[Obstacl
     for sign in (1.0, -1.0):
         beyond = np.flatnonzero(sign * z > threshold)
         sections = np.split(beyond, np.flatnonzero(np.diff(beyond) * ds > MERGE_GAP) + 1)
-        detected += [
-            Obstacle(ds * (i[0] + i[-1]) / 2, sign * float((sign * z[i]).max()))
-            for i in sections
-            if i.size
-        ]
+        for i in filter(len, sections):
+            detected.append(Obstacle(ds * (i[0] + i[-1]) / 2, sign * float((sign * z[i]).max())))
     return sorted(detected)
 
 
@@ -64,11 +61,8 @@ def match_obstacles(y: np.ndarray, a: np.ndarray, ds: float) -> list[_Matches]:
     heights = [abs(obstacle.height) for path in true_obstacles(y, ds) for obstacle in path]
     if not heights:
         return []
-    found = (
-        [detect_obstacles(z, ds, min(heights) / 2) for z in paths]
-        for paths in zip(y, a, strict=True)
-    )
-    return [_match(*path) for path in found]
+    least, paths = min(heights) / 2, zip(y, a, strict=True)
+    return [_match(*(detect_obstacles(z, ds, least) for z in path)) for path in paths]
 
 
 def _match(true: list[Obstacle], detected: list[Obstacle]) -> _Matches:

@@ -196,18 +196,16 @@ def table_lines(data: Mapping[str, Any]) -> list[str]:
         f"{'policy':20s} score   95 %             comfort viol.  left right unseen    S3  worst  "
         f"load tr. roll  +/=/- {data['reference']}",
     ]
+    shown = ("left", "right", "unseen", "S3")
     for row in data["rows"]:
         if row["failure"]:
             lines.append(f"{row['policy']} failed: {row['failure']}")
             continue
         g, s = row["groups"], row["score"]
-        left, right, unseen, s3 = (
-            f"{g[name]['score']:6.2f}" if name in g else "   n/a"
-            for name in ("left", "right", "unseen", "S3")
-        )
+        parts = [f"{g[x]['score']:6.2f}" if x in g else "   n/a" for x in shown]
         lines.append(
             f"{row['policy']:20s} {s['mean']:6.3f} {interval_text(s):>17s} "
-            f"{row['comfort']['mean']:6.3f} {row['violations']:5.0%} {left} {right} {unseen} {s3} "
+            f"{row['comfort']['mean']:6.3f} {row['violations']:5.0%} {' '.join(parts)} "
             f"{row['worst']:6.2f} {row['load_transfer']:5.2f} {row['roll']:6.1f}  "
             + (f"{row['wins']}/{row['ties']}/{row['losses']}" if "wins" in row else "")
         )

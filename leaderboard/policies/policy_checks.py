@@ -55,10 +55,8 @@ def check_policy(
         except (PolicyError, ConfigError) as error:
             return [CheckResult("runs", False, str(error))]
         seconds = list(policy.act_seconds)
-        ride, handling = (
-            roll_out(create(name), dict(OPTIONS), SEEDS).returns.mean()
-            for name in ("fixed_ride", "fixed_handling")
-        )
+        fixed = (create(name) for name in ("fixed_ride", "fixed_handling"))
+        ride, handling = (roll_out(x, dict(OPTIONS), SEEDS).returns.mean() for x in fixed)
         spaces = {x: _short(policy, control=x) for x in ("vehicle", "axle")}
         fewer = {"accelerations alone": _short(policy, observe=["accelerations"])}
         ran = (

@@ -66,10 +66,8 @@ class Timeline(NamedTuple):
 
 def drive_chart(timelines: Mapping[str, Timeline]) -> Chart:
     """Return a chart with a figure for each policy; all have the same axes."""
-    limits = [
-        max(float(np.abs(values).max()) for values in group)
-        for group in zip(*(line.curves() for line in timelines.values()), strict=True)
-    ]
+    signals = zip(*(line.curves() for line in timelines.values()), strict=True)
+    limits = (max(float(np.abs(x).max()) for x in each) for each in signals)
     load, heave, roll = (rounded(1.05 * limit, 3) for limit in limits)
     seconds = max(float(line.t[-1] - line.t[0]) for line in timelines.values())
     time = axis("time [s]", 0.0, rounded(seconds, 4), anchor="y4")

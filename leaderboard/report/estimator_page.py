@@ -136,11 +136,8 @@ def _error_figure(
         for name, x in found.items()
     }
     ends = [(groups[name].get("low"), groups[name].get("high")) for name in found]
-    bars = {
-        **fig.interval_bars(row.name, labels, ends, score.factor),
-        "marker": {"color": fig.colour(row.name)},
-        "hovertemplate": "%{y}<extra></extra>",
-    }
+    bars = fig.interval_bars(row.name, labels, ends, score.factor)
+    bars |= {"marker": {"color": fig.colour(row.name)}, "hovertemplate": "%{y}<extra></extra>"}
     layout = {
         "height": 30 * len(found) + 80,
         "xaxis": fig.axis(score.heading, rangemode="tozero"),

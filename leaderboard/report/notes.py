@@ -37,8 +37,6 @@ FOUND_SEEDS = (
 _SENSORS = "paper"  # of shipped weights, and those that a model of the sensors has by default
 _SHEET = attrgetter("fs", "f_alias", "noise_density", "speed_error")
 _SEARCHED = 2**40  # seeds below are found by trial, 100 000 in a second, in 130 days of a core
-
-
 _Known = Mapping[str, Sequence[Verified]]  # what was verified, by the content of the row
 
 

@@ -25,13 +25,9 @@ def _environment() -> Any:
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup, escape
 
-    environment = Environment(
-        loader=FileSystemLoader([STATIC.with_name("templates"), STATIC]),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
+    loader = FileSystemLoader([STATIC.with_name("templates"), STATIC])
+    blocks: Any = {"trim_blocks": True, "lstrip_blocks": True}
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, **blocks)
     # JSON stands inside <script>, which only "<" could end
     environment.filters["data"] = lambda x: Markup(
         json.dumps(x, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")

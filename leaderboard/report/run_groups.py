@@ -42,11 +42,10 @@ def _frames(task: Task) -> dict[str, ScoreSlice]:
         return {}
     grade = task.conditions[flexible[0]].grade
     roads = range(len(task.test.roads_and_seeds))
-    frames = [task.individual(k, grade).car.variation.frame for k in roads]
+    frames = {k: task.individual(k, grade).car.variation.frame for k in roads}
+    known = {k: frame.f for k, frame in frames.items() if frame}
     groups = {
-        f"frame {low:g} to {high:g} Hz": [
-            k for k, frame in zip(roads, frames, strict=True) if frame and low <= frame.f < high
-        ]
+        f"frame {low:g} to {high:g} Hz": [k for k, f in known.items() if low <= f < high]
         for low, high in pairwise(FRAME_BANDS)
     }
     # column of roads against row of conditions: indexed together, they keep both axes

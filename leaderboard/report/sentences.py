@@ -60,19 +60,15 @@ def _unrelated_roads(longest_wave: float) -> list[list[np.ndarray]]:
     """Return pairs of independent roads, each the heights (2, M) [m] of both wheel paths."""
     road = load_road({**UNRELATED_ROAD, "n_min": 1.0 / longest_wave})
     s = profile_stations(100.0)
-    return [
-        [road.realise(np.random.default_rng([0, k, j])).height(s) for j in range(2)]
-        for k in range(_N_PAIRS)
-    ]
+    rng = np.random.default_rng
+    return [[road.realise(rng([0, k, j])).height(s) for j in (0, 1)] for k in range(_N_PAIRS)]
 
 
 def _unrelated_sentence() -> str:
     """Return the sentence about equation 12 for a road that is unrelated to the truth."""
     levels, r = unrelated_level_errors()
-    long_waves, as_printed = (
-        100.0 * np.median(unrelated_level_errors(longest_wave=100.0, about_mean=mean)[0])
-        for mean in (True, False)
-    )
+    others = [unrelated_level_errors(100.0, about_mean)[0] for about_mean in (True, False)]
+    long_waves, as_printed = (100.0 * np.median(x) for x in others)
     low, median, high = 100.0 * np.quantile(levels, [0.1, 0.5, 0.9])
     low_share = _percent(float(np.mean(levels < STATE_LIMITS[0])), 0)
     return (

@@ -91,12 +91,9 @@ def board_views(board: Board) -> list[BoardView]:
 
 def nonempty_columns(view: BoardView, *sections: Section) -> list[Metric]:
     """Return the columns in which at least one row of the sections has a value."""
-    rows = [row for section in sections for row in section.rows]
-    return [
-        column
-        for column in boards.board_columns(view.board, view.definition)
-        if any(row.cells.get(column.key, "") not in ("", UNDEFINED) for row in rows)
-    ]
+    cells = [item for section in sections for row in section.rows for item in row.cells.items()]
+    shown = {key for key, text in cells if text not in ("", UNDEFINED)}
+    return [x for x in boards.board_columns(view.board, view.definition) if x.key in shown]
 
 
 def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
@@ -263,11 +260,8 @@ def _rank(
 def _scored_row(table: _Averages, definition: BoardDefinition, card: EstimatorCard | None) -> Row:
     result, mine = table.result, table.values[ALL_RUNS]
     entry, forms = result.role == "entry", boards.column_forms(definition)
-    cells = {
-        name: forms[name].format_value(x)
-        for name, x in {**dict.fromkeys(boards.RANK_COLUMNS.values()), **mine}.items()
-        if name in forms
-    }
+    known = dict.fromkeys(boards.RANK_COLUMNS.values()) | mine
+    cells = {name: forms[name].format_value(x) for name, x in known.items() if name in forms}
     slope = mine.get("slope_low"), mine.get("slope_high")
     cells |= {
         "slope_interval": interval_text(*slope, forms["slope"]),

@@ -28,11 +28,8 @@ def signer(key: Path) -> Callable[[Path], str]:
     ed25519, serialization = _library()
     if not key.exists():
         made = ed25519.Ed25519PrivateKey.generate()
-        text = made.private_bytes(
-            serialization.Encoding.PEM,
-            serialization.PrivateFormat.PKCS8,
-            serialization.NoEncryption(),
-        )
+        form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
+        text = made.private_bytes(*form, serialization.NoEncryption())
         with os.fdopen(os.open(key, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
             file.write(text)
     with parsing(key, ConfigError, "not a private key in PEM format"):
