@@ -31,10 +31,9 @@ _HEIGHT_LIMIT = 1e6  # [m] to which estimates are clipped: an absurd one still h
 class ScoredEstimate:
     """Truth and estimate of one drive, and what several metrics need of them, computed once.
 
-    `y` and `a` (2, M) [m] are the true and the estimated heights, `ds` [m] apart, `v` [m/s] is the
-    speed, `std` (2, M) [m] the standard deviation of the estimate, if it has one. `bumps`:
-    obstacles are scored, `bound` is the bound on the NRMSE of this drive or NaN, `wandering`: the
-    positions wander, so that heights are also scored after local alignment.
+    `y` and `a` (2, M) [m] are the true and the estimated heights, `ds` [m] apart at `v` [m/s], with
+    the deviation `std` (2, M) [m] of the estimate, if it has one. `bumps`: obstacles are scored;
+    `bound` is that on the NRMSE of this drive or NaN; `wandering`: so are locally aligned heights.
     """
 
     def __init__(

@@ -32,11 +32,7 @@ from road_envs.records.record import scored_band as scored_band
 from road_envs.records.roughness import Band as Band
 from road_envs.records.roughness import band_pass as band_pass
 
-VERSION = 5
-"""Version of the metrics: raised whenever a score of the same two profiles changes, which makes
-older results stale.
-"""
-
+VERSION = 5  # raised whenever a score of the same two profiles changes: older results are stale
 _LAG_MAX = 0.5  # [m]
 _SEGMENT_LENGTH = 10.0  # [m] Welch segment of the coherence: resolution 0.1 cycles/m
 _NEGLIGIBLE = 1e-9  # an RMS below this share of the truth's is rounding error

@@ -45,9 +45,8 @@ def _density_ratio(scored: ScoredEstimate) -> tuple[float, ...]:
 
 
 def _class_steps(scored: ScoredEstimate) -> np.ndarray:
-    """Return estimated minus true ISO class (2, octaves), in classes; 0 where it is right.
-
-    Covers the octaves that the 25 Hz low-pass at the speed leaves whole; perhaps none.
+    """Return estimated minus true ISO class (2, octaves), in classes; 0 where it is right. Covers
+    the octaves that the 25 Hz low-pass at the speed leaves whole; perhaps none.
     """
     n, (G_y, G_a, _) = scored.densities
     whole = [n_c for n_c in _OCTAVE_CENTRES if n_c * np.sqrt(2.0) <= SCORED_F_MAX / scored.v]

@@ -88,15 +88,14 @@ def compare(
     there are `sweeps`, the best switching found. Raises ConfigError for an unknown reference.
     """
     validate_choice("reference", reference, list(policies))
-    rollouts: dict[str, Rollout] = {}
-    failures: dict[str, str] = {}
+    rollouts, failures = dict[str, Rollout](), list[dict[str, str]]()
     searches: list[list[float]] = []
     for k, (name, policy) in enumerate(policies.items()):
         progress(name, 0.3 * k / len(policies))
         try:
             rollouts[name] = drive_all(policy, drives)
         except Exception as error:  # a failing policy must not stop the comparison
-            failures[name] = describe_error(error)
+            failures.append({"policy": name, "failure": describe_error(error)})
         finally:
             if isinstance(policy, PolicyProcess):
                 policy.close()  # nothing of it may run beside the next one
@@ -108,9 +107,8 @@ def compare(
         )  # fmt: skip
         searches = [[_round(x) for x in scores] for scores in searched]
     base = rollouts.get(reference)
-    rows_of_table = [_row(name, r, base, drives) for name, r in rollouts.items()]
-    rows_of_table.sort(key=lambda row: -row["score"]["mean"])
-    rows_of_table += [{"policy": name, "failure": text} for name, text in failures.items()]
+    driven = [_row(name, r, base, drives) for name, r in rollouts.items()]
+    driven.sort(key=lambda row: -row["score"]["mean"])
     progress("done", 1.0)
     setup: Any = drives.setup
     data = {
@@ -118,7 +116,7 @@ def compare(
         "split": setup.safe.split,
         "drives": [_label(start.description) for start in drives.starts],
         "reference": reference,
-        "rows": rows_of_table,
+        "rows": driven + failures,
         "searches": searches,
     }
     return Comparison(data, drives, rollouts)
@@ -168,8 +166,7 @@ def interval(
     x: np.ndarray, families: np.ndarray | None = None, mirrored: bool = True
 ) -> dict[str, float]:
     """Return the mean of `x` (N,) or (S, N), and its 95 % interval over S seeds and N drives, drawn
-    within each of their `families` (N,), in pairs if they are `mirrored`; NaN of fewer than
-    MIN_ROADS drives or pairs.
+    within `families` (N,), in pairs if `mirrored`; NaN of fewer than MIN_ROADS drives or pairs.
     """
     pairs = np.atleast_2d(x)
     pairs = pairs.reshape(len(pairs), -1, 1 + mirrored).mean(axis=2).T[:, None, :]

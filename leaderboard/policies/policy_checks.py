@@ -46,9 +46,7 @@ _LONGEST_DRIVE = 30.0  # [s] of a comparison, for which the run time is predicte
 def check_policy(
     reference: str, settings: Mapping[str, Any] | None = None, limits: Limits = POLICY_LIMITS
 ) -> list[CheckResult]:
-    """Run all checks of the policy `reference`, as `make_policy` takes it; the first alone of one
-    that does not run.
-    """
+    """Run all checks of a policy by its reference for `make_policy`; one alone if it cannot run."""
     with PolicyProcess(reference, settings, limits) as policy:
         try:
             first = roll_out(policy, dict(OPTIONS), SEEDS)

@@ -35,7 +35,6 @@ POLICY_LIMITS = Limits(seconds=120.0, memory=2.0, isolation="process")
 
 class PolicyProcess:
     """The policy `reference`, as `make_policy` takes it; a context manager, used like any policy.
-
     A process that has ended or exceeded a limit is replaced by a new one at the next `reset`; a
     policy that has raised an error is made anew in its process. Raises PolicyError, and ConfigError
     for an installed name that is none of a row.

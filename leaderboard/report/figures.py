@@ -37,20 +37,17 @@ TRUTH_LINE = {"color": "var(--truth)", "width": 4.0}
 Chart = dict[str, Any]  # as a whole, or a part of it
 
 
-def colour(name: str) -> str:
-    """Return the colour of an estimator, the same on every page."""
-    return f"var(--line-{_style(name)[0]})"
-
-
 def line_style(name: str) -> dict[str, Any]:
-    """Return colour, dash and width of the line of an estimator."""
-    return {"color": colour(name), "dash": _style(name)[1], "width": 1.6}
-
-
-def _style(name: str) -> tuple[int, str]:
+    """Return colour, dash and width of the line of an estimator, the same on every page."""
     digest = zlib.crc32(name.encode())
     other = _OTHER_DASHES[digest // _N_COLOURS % len(_OTHER_DASHES)]
-    return _STYLES.get(name, (digest % _N_COLOURS, other))
+    k, dash = _STYLES.get(name, (digest % _N_COLOURS, other))
+    return {"color": f"var(--line-{k})", "dash": dash, "width": 1.6}
+
+
+def colour(name: str) -> str:
+    """Return the colour of an estimator."""
+    return line_style(name)["color"]
 
 
 def chart(title: str, figures: Chart, layout: Chart, by: Sequence[str] = ()) -> Chart:

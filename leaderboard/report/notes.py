@@ -52,12 +52,14 @@ def section_notes(
     level = f"On {drives} nobody has a score, as on a level road."
     unranked = [x.name for x in rows if x.state == "scored" and x.values.get(ranks_by) is None]
     lacking = f"No {SCORES[ranks_by].label} on some drives, and so no rank: {', '.join(unranked)}."
+    others = [x for x in scored if x.role == "entry" and x.estimator not in REGISTRY]
+    is_drawn = others and not task.is_public and min(task.test.all_seeds) < _SEARCHED
     seeds = {name: f"{n} training seed{'s' * (n > 1)}" for name, n in trainings.items()}
     results = [*scored, *board.failed(task)]  # of a file, they note what was changed on its surface
     surface = dict.fromkeys(x for r in results for x in r.notes if x not in _own_notes(r))
     return (
         *([PUBLIC_ROADS] if task.is_public else []),
-        *([FOUND_SEEDS] if _can_find_seeds(task, scored) else []),
+        *([FOUND_SEEDS] if is_drawn else []),
         *([level] if level_drives else []),
         *([lacking] if unranked else []),
         *_protocol_notes(task, scored),
@@ -68,12 +70,6 @@ def section_notes(
         *_version_notes(scored),
         *_notes_on_others(seeds, "ran with {}, the others with {}"),
     )
-
-
-def _can_find_seeds(task: Task, scored: Iterable[Result]) -> bool:
-    """Return whether entries by others could have drawn roads that nobody has told them."""
-    others = (x for x in scored if x.role == "entry" and x.estimator not in REGISTRY)
-    return not task.is_public and min(task.test.all_seeds) < _SEARCHED and any(others)
 
 
 def sanity_warnings(rows: Sequence["Row"], ranks_by: str, is_public: bool = False) -> list[str]:

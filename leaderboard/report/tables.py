@@ -76,9 +76,7 @@ class BoardView:
 
 
 def board_views(board: Board) -> list[BoardView]:
-    """Return the boards that have a task: those of roads that are not public before others, then
-    the main one.
-    """
+    """Return the boards that have a task: of roads that are not public first, then the main one."""
     definitions = {task.board_name: task.board_definition for task in board.tasks}
     sealed = {task.board_name for task in board.tasks if not task.is_public}
     ordered = sorted(definitions.items(), key=lambda item: (item[0] not in sealed, item[1].order))
@@ -144,9 +142,8 @@ def _aggregate(
     parts: Mapping[str, ScoreSlice],
     on_level: np.ndarray,
 ) -> _Averages:
-    """Average the scores of a result over all runs and over each group. Runs `on_level` (R, C)
-    roads have no ranking score, which counts against no entry; one that lacks it on another run has
-    none at all.
+    """Average the scores of a result over all runs and each group. Runs `on_level` (R, C) roads
+    have no ranking score, which counts against nobody; who lacks it elsewhere has none at all.
     """
     scores, strata = score_arrays(result.scores), task.test.strata
     shown = {*definition.columns, *definition.on_request, definition.ranks_by}

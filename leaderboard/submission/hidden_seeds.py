@@ -55,8 +55,7 @@ class _HiddenSeeds(Settings):
     format: Literal[2] = 2
     package_version: str
     tasks: dict[str, str]
-    roads: dict[str, int]
-    """Number of seeds by task."""
+    roads: dict[str, int]  # number of seeds by task
     commitment: str = ""
 
 

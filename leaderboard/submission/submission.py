@@ -41,10 +41,8 @@ SUBMISSION = Kind("submission", 1)
 RECORD, CARD = signature.RECORD, "card.yaml"
 _PARTS = "jobs"
 _UNSEALED = (RECORD, signature.FILE)  # files whose digests the record does not hold
-SUBMISSION_SHARE = 1.0
-"""Share of the drives of a submission that are run again: a verification of some could be repeated
-until it misses the drives that were forged.
-"""
+# share of the drives that are run again: a verification of some could be repeated until it misses
+SUBMISSION_SHARE = 1.0  # those that were forged
 
 _Progress = Callable[[str, float], None]
 
@@ -58,8 +56,7 @@ class _Submission(Settings):
     package_version: str
     hardware: dict[str, str]
     cpu_seconds: float
-    files: dict[str, str]
-    """SHA-256 of each file, by its path in the folder."""
+    files: dict[str, str]  # SHA-256 of each file, by its path in the folder
 
 
 def make_submission(
