@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, Trace, score_arrays
 from leaderboard.evaluation.tasks import Condition, Task
-from leaderboard.metrics.bootstrap import MIN_ROADS, Strata, count_roads, performance_profile
+from leaderboard.metrics.bootstrap import MIN_ROADS, count_roads, performance_profile
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.metrics.obstacles import Obstacle, match_obstacles, true_obstacles
 from leaderboard.metrics.registry import SCORES
@@ -50,11 +49,7 @@ ERROR_AXES: dict[str, Any] = {
 
 
 def task_charts(
-    task: Task,
-    definition: BoardDefinition,
-    results: Mapping[str, Result],
-    rows: Mapping[str, Row],
-    on_level: np.ndarray,
+    task: Task, results: Mapping[str, Result], rows: Mapping[str, Row], on_level: np.ndarray
 ) -> dict[str, fig.Chart]:
     """Return the charts of a task by name, with the given results in their order, best first. Runs
     `on_level` (R, C) roads, by `level_runs` of all results of the task, count for nobody.
@@ -69,11 +64,11 @@ def task_charts(
         "density": _density_chart(drawn),
         "error": _error_chart(task, {name: rows[name] for name in results}),
     }
-    key = definition.ranks_by
+    key = task.board_definition.ranks_by
     arrays = {name: _counted_runs(r, key, on_level) for name, r in results.items()}
     scores = {name: x for name, x in arrays.items() if count_roads(x) >= MIN_ROADS}
     if scores:
-        charts["runs"] = _runs_chart(scores, definition, task.test.strata)
+        charts["runs"] = _runs_chart(scores, task)
     return charts
 
 
@@ -272,10 +267,9 @@ def _error_chart(task: Task, rows: Mapping[str, Row]) -> fig.Chart:
     return fig.chart("Error over spatial frequency", figures, ERROR_AXES, by=("condition",))
 
 
-def _runs_chart(
-    scores: Mapping[str, np.ndarray], definition: BoardDefinition, strata: Strata
-) -> fig.Chart:
+def _runs_chart(scores: Mapping[str, np.ndarray], task: Task) -> fig.Chart:
     """Return the performance profiles of scores (R, C, S), with their intervals."""
+    definition, strata = task.board_definition, task.test.strata
     thresholds = np.linspace(0.0, definition.scale, 41)
     x = [fig.rounded(limit) for limit in thresholds]
     data, hover = [], "%{y:.0f} % of runs up to %{x:.2f}"

@@ -11,7 +11,6 @@ import numpy as np
 from scipy.stats import norm
 
 from estimators.registry import REGISTRY
-from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, Trace
 from leaderboard.evaluation.tasks import ALL_DRIVES, Task
 from leaderboard.metrics import UNDEFINED
@@ -25,7 +24,7 @@ from leaderboard.running.board import Board
 _WORST_DRIVES = 3  # number of drives of a task with the largest errors that are listed
 _LABEL_LENGTH = 20  # length at which the name of a group is continued on a second line [characters]
 _NOMINAL_SHARES = np.linspace(0.05, 0.95, 19)  # probabilities of intervals that are calibrated
-_Evaluated = tuple[Section, Result, Row, BoardDefinition]  # a row of a board
+_Evaluated = tuple[Section, Result, Row]  # a row of a board
 
 
 def page_values(
@@ -35,11 +34,8 @@ def page_values(
     places = [(view, section) for view in views for section in view.sections]
     rows = [(*place, row) for place in places for row in place[1].rows if row.name == name]
     by_task = {task.name: result for task, result in results}
-    evaluated = [
-        (section, by_task[section.task.name], row, view.definition)
-        for view, section, row in rows
-        if row.state in ("scored", "baseline")
-    ]
+    scored = ((x, row) for _, x, row in rows if row.state in ("scored", "baseline"))
+    evaluated = [(section, by_task[section.task.name], row) for section, row in scored]
     first, about = results[0][1], board.methods.get(name)
     settings = (f"{key.replace('_', ' ')} {x}" for key, x in first.settings.items())
     statements = vars(about) | {"authors": ", ".join(about.authors)} if about else {}
@@ -60,7 +56,7 @@ def page_values(
         "charts": _charts(evaluated),
         "tasks": [section.task for section, *_ in evaluated],
         "cost": [_cost(result) for _, result, *_ in evaluated],
-        "worst": [x for _, one, _, own in evaluated for x in _worst_drives(one, own.ranks_by)],
+        "worst": [drive for where in evaluated for drive in _worst_drives(*where)],
         "failures": [(task, result.failure) for task, result in results if result.failure],
         "results": [(task, one, _result_provenance(board, task, one)) for task, one in results],
     }
@@ -121,11 +117,10 @@ def _paragraphs(documented: object) -> list[tuple[str, bool]]:
     return [(inspect.cleandoc(x) if own else " ".join(x.split()), own) for x, own in texts]
 
 
-def _error_figure(
-    section: Section, result: Result, row: Row, definition: BoardDefinition
-) -> dict[str, Any] | None:
+def _error_figure(section: Section, result: Result, row: Row) -> fig.Chart | None:
     """Return the ranking score over all runs and by condition and family, with intervals."""
-    key, score = definition.ranks_by, COLUMNS[definition.ranks_by]
+    key = section.task.board_definition.ranks_by
+    score = COLUMNS[key]
     names = [group for groups in section.groups.values() for group in groups]
     groups = {ALL_DRIVES: row.values, **{name: row.groups.get(name, {}) for name in names}}
     found = {name: x for name, values in groups.items() if (x := values.get(key)) is not None}
@@ -146,7 +141,7 @@ def _error_figure(
     return {"data": [bars], "layout": layout}
 
 
-def _spectrum_figure(section: Section, result: Result, row: Row, *_: Any) -> dict[str, Any]:
+def _spectrum_figure(section: Section, result: Result, row: Row) -> fig.Chart:
     condition = section.task.conditions[0]
     bound = bound_lines(section.task, condition, f"bound, {condition.label}")
     return {"data": [*bound, *error_lines({row.name: row}, "")]}
@@ -182,8 +177,9 @@ def _standardized(trace: Trace) -> np.ndarray:
     return np.abs(errors) / np.maximum(trace.deviation[:, first : first + errors.shape[1]], 0.5)
 
 
-def _worst_drives(result: Result, key: str) -> list[tuple[str, ...]]:
+def _worst_drives(section: Section, result: Result, *_: Any) -> list[tuple[str, ...]]:
     """Return task, road, condition, training seed and error of the worst of several drives."""
+    key = section.task.board_definition.ranks_by
     runs = result.scores[result.scores["score"] == key]
     if len(runs) < 2:
         return []

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 
-from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result
 from leaderboard.report import figures as fig
 from leaderboard.report.board_definitions import BOUND_ROW, COLUMNS, ranked_kind
@@ -23,12 +22,12 @@ _MARK_LABEL = {
 }  # fmt: skip
 
 
-def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | None:
+def ranking_chart(section: Section) -> fig.Chart | None:
     """Return the ranking as bars with intervals; bound and baselines are lines. None if empty."""
-    key = definition.ranks_by
-    rows = scored_rows(section, definition)[:_MAX_BARS]
-    if not rows:
+    if not (rows := scored_rows(section)[:_MAX_BARS]):
         return None
+    definition = section.task.board_definition
+    key = definition.ranks_by
     score = COLUMNS[key]
     marks = _marked_values(section, key)
     values = [row.values[key] or 0.0 for row in rows]
@@ -82,12 +81,10 @@ def _marked_values(section: Section, key: str) -> dict[str, float]:
     return dict(sorted(marks.items(), key=lambda item: item[1]))
 
 
-def strip_chart(
-    section: Section, results: Iterable[Result], definition: BoardDefinition
-) -> fig.Chart | None:
+def strip_chart(section: Section, results: Iterable[Result]) -> fig.Chart | None:
     """Return the truth against the best estimate and the paper's network; None without traces."""
     by_name = {result.estimator: result for result in results if result.traces}
-    order = [row.name for row in scored_rows(section, definition) if row.name in by_name]
+    order = [row.name for row in scored_rows(section) if row.name in by_name]
     chosen = dict.fromkeys([*order[:1], *(n for n in order if n == PAPER_NETWORK), *order[1:2]])
     traces = {name: by_name[name].traces[0] for name in list(chosen)[:2]}
     if not traces:

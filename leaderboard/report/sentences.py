@@ -92,27 +92,28 @@ def findings(views: Sequence[BoardView]) -> tuple[str, ...]:
         found += [_paper_protocol(claimed, rows), _memory(rows)]
         for section in view.sections:
             if view.definition.divisions and section not in claimed:
-                own = headline(section, view.definition)
-                found += [f"{section.task.name}: {sentence}" for sentence in own]
+                found += [f"{section.task.name}: {sentence}" for sentence in headline(section)]
     return tuple(sentence for sentence in found if sentence)
 
 
-def headline(section: Section, definition: BoardDefinition) -> list[str]:
+def headline(section: Section) -> list[str]:
     """Sentence on the best entry, the next ones and how sure that is, in plain words."""
-    scored, rank = scored_rows(section, definition), boards.rank_column(definition)
-    if not scored:
+    if not (scored := scored_rows(section)):
         return []
     best, *others = scored
+    definition = section.task.board_definition
+    rank = boards.rank_column(definition)
     tied = [row.name for row in others if row.values.get(rank) == best.values.get(rank)]
     first = _best_sentence(best, tied, definition)
     if not others:
         return [first, f"It is the only {boards.ranked_kind(definition)}."]
-    certainty = _certainty_sentence(best, tied, others[0], section, definition)
+    certainty = _certainty_sentence(best, tied, others[0], section)
     return [first, _others_sentence(best, others, definition), certainty]
 
 
-def scored_rows(section: Section, definition: BoardDefinition) -> list[Row]:
+def scored_rows(section: Section) -> list[Row]:
     """Rows of entries that the board orders, with its ranking score, best first."""
+    definition = section.task.board_definition
     rows = (row for row in section.rows if tables.is_ranked(row, definition))
     return [row for row in rows if row.values.get(definition.ranks_by) is not None]
 
@@ -184,11 +185,9 @@ def _others_sentence(best: Row, others: Sequence[Row], definition: BoardDefiniti
     return f"{text}; the paper's network has {score(paper)}, {verdict} than a flat road."
 
 
-def _certainty_sentence(
-    best: Row, tied: Sequence[str], second: Row, section: Section, definition: BoardDefinition
-) -> str:
+def _certainty_sentence(best: Row, tied: Sequence[str], second: Row, section: Section) -> str:
     """Sentence on the first place: of those further down, the first may leave none behind."""
-    if best.values.get(boards.rank_column(definition)) is None:
+    if best.values.get(boards.rank_column(section.task.board_definition)) is None:
         return "Too few roads for a rank or an interval: another road may give another order."
     if tied:
         names = ", ".join(tied)

@@ -77,16 +77,16 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
     boards = [(view, [_table(view, s) for s in view.sections]) for view in report.views]
     explained = {(c.label, c.help): c for _, made in boards for t in made for c in t["columns"]}
     view = report.views[0]
-    section, definition = view.sections[0], view.definition
+    section = view.sections[0]
     scored = [result for task in board.tasks for result in board.scored(task)]
     scored.sort(key=lambda result: result.estimator)
     return {
         "root": "",
         "section": section,
-        "ranking": overview.ranking_chart(section, definition),
-        "strip": overview.strip_chart(section, board.scored(section.task), definition),
-        "headline": headline(section, definition),
-        "ranked_by": definition.ranks_by,
+        "ranking": overview.ranking_chart(section),
+        "strip": overview.strip_chart(section, board.scored(section.task)),
+        "headline": headline(section),
+        "ranked_by": view.definition.ranks_by,
         "notice": isolation_notice(scored),
         "public": PUBLIC_ROADS if any(task.is_public for task in board.tasks) else None,
         "findings": report.findings,
@@ -156,7 +156,7 @@ def _task(board: Board, view: BoardView, section: Section) -> dict[str, Any]:
         "view": view,
         "score_table": _table(view, section),
         "task": task,
-        "charts": task_charts(task, view.definition, drawn, rows, on_level) if drawn else {},
+        "charts": task_charts(task, drawn, rows, on_level) if drawn else {},
         "notice": isolation_notice(scored),
         "public": PUBLIC_ROADS if task.is_public else None,
         "left_out": order[_MAX_DRAWN:],

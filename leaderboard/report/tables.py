@@ -82,7 +82,7 @@ def board_views(board: Board) -> list[BoardView]:
     ordered = sorted(definitions.items(), key=lambda item: (item[0] not in sealed, item[1].order))
     of_board = {name: [x for x in board.tasks if x.board_name == name] for name in definitions}
     return [
-        BoardView(name, own, tuple(_section(board, task, own) for task in of_board[name]))
+        BoardView(name, own, tuple(_section(board, task) for task in of_board[name]))
         for name, own in ordered
     ]
 
@@ -94,14 +94,14 @@ def nonempty_columns(view: BoardView, *sections: Section) -> list[Metric]:
     return [x for x in boards.board_columns(view.board, view.definition) if x.key in shown]
 
 
-def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
-    groups = run_groups(task)
+def _section(board: Board, task: Task) -> Section:
+    groups, definition = run_groups(task), task.board_definition
     parts: dict[str, ScoreSlice] = {ALL_RUNS: (slice(None), slice(None))}
     parts |= {name: part for named in groups.values() for name, part in named.items()}
     scored = board.scored(task)
     on_level = level_runs(scored, definition)
-    tables = [_aggregate(result, task, definition, parts, on_level) for result in scored]
-    _rank(tables, parts, task.test.strata, definition)
+    tables = [_aggregate(result, task, parts, on_level) for result in scored]
+    _rank(tables, task, parts)
     rows = [_scored_row(x, definition, board.card(x.result)) for x in tables]
 
     def place(row: Row) -> tuple[bool, bool, float, float]:
@@ -136,16 +136,13 @@ class _Averages(NamedTuple):
 
 
 def _aggregate(
-    result: Result,
-    task: Task,
-    definition: BoardDefinition,
-    parts: Mapping[str, ScoreSlice],
-    on_level: np.ndarray,
+    result: Result, task: Task, parts: Mapping[str, ScoreSlice], on_level: np.ndarray
 ) -> _Averages:
     """Average the scores of a result over all runs and each group. Runs `on_level` (R, C) roads
     have no ranking score, which counts against nobody; who lacks it elsewhere has none at all.
     """
     scores, strata = score_arrays(result.scores), task.test.strata
+    definition = task.board_definition
     shown = {*definition.columns, *definition.on_request, definition.ranks_by}
     shown |= {*SPECTRUM_SCORES, *_LIMITS}
     ranked = scores[[*SCORES].index(definition.ranks_by)]
@@ -233,23 +230,18 @@ def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: S
     return _defined(values)
 
 
-def _rank(
-    tables: Sequence[_Averages],
-    parts: Mapping[str, ScoreSlice],
-    strata: Strata,
-    definition: BoardDefinition,
-) -> None:
+def _rank(tables: Sequence[_Averages], task: Task, parts: Mapping[str, ScoreSlice]) -> None:
     """Add the ranks in every group of MIN_ROADS roads and division, if entries have the score."""
     by_name = {x.result.estimator: x for x in tables if x.result.role == "entry"}
     causal = {name: x for name, x in by_name.items() if x.result.causal}
     divisions = {"offline": by_name, "causal": causal}
-    if {*definition.divisions} == {"causal"}:
+    if {*task.board_definition.divisions} == {"causal"}:
         del divisions["offline"]
     for group, part in parts.items():
         for division, entries in divisions.items():
             every = {name: x.ranked[part] for name, x in entries.items()}
             scores = {name: x for name, x in every.items() if count_roads(x) >= MIN_ROADS}
-            within = strata if group == ALL_RUNS else None
+            within = task.test.strata if group == ALL_RUNS else None
             for name, rank in bootstrap.rank_entries(scores, strata=within).items():
                 by_name[name].values[group][boards.RANK_COLUMNS[division]] = rank
 
