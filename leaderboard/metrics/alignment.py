@@ -20,16 +20,9 @@ from road_envs.records.roughness import band_pass
 from road_envs.roads import Surface
 
 _LOCAL_WINDOW, _LOCAL_STEP = 20.0, 5.0  # length [m] of windows of a local alignment, and step
+# largest lag [m] of an estimate whose positions wander, three standard deviations of the worst
+# receiver (`position_noise`), and its change over the distance
 _LOCAL_SEARCH, _LOCAL_STRETCH = 9.0, 0.06
-"""Largest lag [m] of an estimate whose positions wander, three standard deviations of the worst
-receiver (`position_noise`), and its change over the distance.
-"""
-
-_MIN_LOCAL_CORRELATION = 0.5
-"""Mean correlation of the windows below which an estimate does not match; that of unrelated roads,
-whose lags are free too, is 0.2.
-"""
-
 _BEYOND = 0.6  # leads the search through windows beyond the ends of the truth, which do not count
 
 
@@ -112,7 +105,7 @@ def align_locally(
     mapped, moved = s, a
     for _ in range(3):  # from the second time on with windows that are hardly stretched
         centres, lags, correlation = _local_lags(y, moved, ds, v)
-        if not correlation >= _MIN_LOCAL_CORRELATION:
+        if not correlation >= 0.5:  # that of unrelated roads, whose lags are free too, is 0.2
             return y, a, std
         mapped = mapped + np.interp(mapped, centres, lags)
         moved = CubicSpline(mapped, a, axis=1)(np.clip(s, mapped[0], mapped[-1]))

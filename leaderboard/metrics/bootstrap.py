@@ -138,10 +138,7 @@ def iqm_slope(parts: Mapping[int, np.ndarray], strata: Strata | None = None) -> 
 
 
 def performance_profile(
-    scores: np.ndarray,
-    thresholds: np.ndarray,
-    replicates: int = _REPLICATES,
-    strata: Strata | None = None,
+    scores: np.ndarray, thresholds: np.ndarray, strata: Strata | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the shares (T,) of `scores` (R, C, S) at or below each of `thresholds` (T,), and the
     lower and upper ends (T,) of their bootstrap intervals. NaN marks a missing run.
@@ -152,7 +149,8 @@ def performance_profile(
         with np.errstate(invalid="ignore"):
             return np.stack([(x <= limit) @ weights / count for limit in thresholds], axis=-1)
 
-    parts = [shares(*batch) for batch in _replicate_scores(scores, 0, replicates, strata)]
+    batches = _replicate_scores(scores, 0, 300, strata)  # replicates: enough for a drawn line
+    parts = [shares(*batch) for batch in batches]
     low, high = np.quantile(np.concatenate(parts), _QUANTILES, axis=0)
     return shares(scores.ravel(), np.ones(scores.size)), low, high
 

@@ -30,7 +30,6 @@ BEST_FOUND = "best found"  # name of the row of `best_found.search`
 REFERENCE = "rrms"  # policy that differences refer to by default
 PUBLIC_DRIVES = 8  # number of public drives; each is driven to both sides
 _SHORTEST_SEAL = 16  # characters: a policy can draw the drives of a thousand texts in a second
-_SEARCH_SEEDS = (1, 2)
 TIE = 0.01  # difference of scores [m²/s⁴] within which two policies are even on a drive
 
 GROUPS: Mapping[str, tuple[str, str]] = {
@@ -102,7 +101,7 @@ def compare(
     if sweeps and rollouts:
         rows = [rollout.actions for rollout in rollouts.values()]
         rollouts[BEST_FOUND], searched = best_found.search(
-            drives, rows, _SEARCH_SEEDS, sweeps=sweeps,
+            drives, rows, seeds=(1, 2), sweeps=sweeps,
             progress=lambda text, share: progress(f"best found: {text}", 0.3 + 0.7 * share),
         )  # fmt: skip
         searches = [[_round(x) for x in scores] for scores in searched]

@@ -11,7 +11,6 @@ from leaderboard.report.rendering import BOARD_PAGE, POLICY_PAGE, render, write_
 from road_envs.core.atomic_io import write_text
 
 _SHOWN_DRIVE = 0  # number of the drive that is shown over time
-_SHOWN_POLICIES = 8  # of charts: the best of the table, and the reference
 
 
 def timelines(comparison: Comparison) -> dict[str, Timeline]:
@@ -49,9 +48,9 @@ def _render_page(
 
 
 def _shown_policies(data: Mapping[str, Any]) -> list[str]:
-    """Return the policies that charts show: the best rows, and the reference."""
+    """Return the policies that charts show: the eight best rows, and the reference."""
     names = [row["policy"] for row in data["rows"] if not row["failure"]]
-    return [n for k, n in enumerate(names) if k < _SHOWN_POLICIES or n == data["reference"]]
+    return [n for k, n in enumerate(names) if k < 8 or n == data["reference"]]
 
 
 def _score_chart(data: Mapping[str, Any]) -> Chart:

@@ -40,7 +40,6 @@ OPTIONS: Mapping[str, Any] = {
 }
 SEEDS = range(4)  # seeds of the roads, one for each vehicle
 _REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")  # on purpose
-_LONGEST_DRIVE = 30.0  # [s] of a comparison, for which the run time is predicted
 
 
 def check_policy(
@@ -144,7 +143,7 @@ def _costs(limits: Limits, seconds: Sequence[float], memory: float) -> list[Chec
     """Check memory, and the `seconds` of each call with the vehicles of SEEDS, against the limits
     of a comparison; the longest call, which may prepare tables, counts once.
     """
-    calls = SafeOptions().control_rate * _LONGEST_DRIVE
+    calls = SafeOptions().control_rate * 30.0  # [s] of the longest drive of a comparison
     once = max(seconds)
     per_call = (sum(seconds) - once) / max(len(seconds) - 1, 1)
     predicted = once + per_call * calls * 2 * PUBLIC_DRIVES / len(SEEDS)

@@ -27,8 +27,6 @@ from road_envs.core.config import ConfigError
 from road_envs.policies import FILE_SUFFIXES, entry_point, runs_foreign_code
 from road_envs.policies.api import PolicyContext, PolicyError
 
-_STARTUP_SECONDS = 60.0  # time [s] in which the process must have loaded the policy
-_LONGEST_COMPARISON = 1e5  # time [s] of all its cases, after which the kernel ends a process
 POLICY_LIMITS = Limits(seconds=120.0, memory=2.0, isolation="process")
 """The time is that for all vehicles of a case. Only code from outside is run in "bubblewrap"."""
 
@@ -98,7 +96,7 @@ class PolicyProcess:
             self._forget_others()
         self._count += 1
         home, module = self._temp.path / str(self._count), policy_handler.__name__
-        limits = replace(self.limits, seconds=_LONGEST_COMPARISON)
+        limits = replace(self.limits, seconds=1e5)  # of all cases: the kernel ends the process
         return start_guest(module, home, limits, isolated=isolated, code=code)
 
     def _code(self, folder: Path) -> Path | None:
@@ -135,7 +133,7 @@ class PolicyProcess:
             if self._guest is None:
                 self._guest = self._start()
             if task == "reset":
-                self._guest.start_run(replace(self.limits, seconds=_STARTUP_SECONDS))
+                self._guest.start_run(replace(self.limits, seconds=60.0))  # to load the policy
             named = {"reference": self.reference, "settings": self.settings}
             request = messages.encode({"do": task, **(named if task == "reset" else {})}, [data])
             head, actions = self._guest.call(request, size_of_actions)

@@ -11,7 +11,6 @@ from road_envs.simulation.drive import Trajectory
 from road_envs.vehicle.equations import PHI, Z_B
 from road_envs.vehicle.suspension import MODES, WHEELS, decode_commands
 
-_POINTS_PER_SECOND = 50.0  # sample rate [Hz] of the drawn curves
 MODE_NAMES = tuple(MODES)
 _MODE_COLOURS = {  # ride mode is drawn as a gap
     "handling": "var(--line-0)",
@@ -36,7 +35,7 @@ class Timeline(NamedTuple):
 
     @classmethod
     def from_drive(cls, drives: Drives, i: int, actions: np.ndarray) -> "Timeline":
-        """Return drive number `i` under `actions` (T, N), sampled at _POINTS_PER_SECOND."""
+        """Return drive number `i` under `actions` (T, N), sampled at 50 Hz or so."""
         setup, start = drives.setup, drives.starts[i]
         fleet = setup.make_fleet(keep_signals=True)
         fleet.start(0, start.drive, start.logger, start.speed_kmh)
@@ -46,7 +45,7 @@ class Timeline(NamedTuple):
             parts.append(fleet.last_interval(0, int(byte)))
             if ended:
                 break
-        sampled = slice(None, None, max(1, round(1.0 / (_POINTS_PER_SECOND * fleet.step))))
+        sampled = slice(None, None, max(1, round(1.0 / (50.0 * fleet.step))))
         names = ("t", "s", "v", "commands", "signals")
         columns = (np.concatenate([getattr(x, name) for x in parts])[sampled] for name in names)
         motion = Trajectory(*columns)

@@ -16,8 +16,6 @@ from road_envs.core.atomic_io import atomic_write
 from road_envs.core.config import ConfigError
 from road_envs.core.extras import optional_import
 
-_EDGE_TOLERANCE = 40  # largest error, of 255, of an edge pixel kept from the last frame of a GIF
-
 
 def animate(
     env_options: Mapping[str, Any],
@@ -59,7 +57,7 @@ def animate(
 
 
 def _quantized(frames: Iterator[np.ndarray]) -> Iterator[Any]:
-    """Yield frames in the renderer's palette; edge pixels keep the last value if it is close."""
+    """Yield frames in the renderer's palette; edge pixels within 40 of 255 keep the last value."""
     from PIL import Image
 
     from road_envs.rendering.style import palette
@@ -75,7 +73,7 @@ def _quantized(frames: Iterator[np.ndarray]) -> Iterator[Any]:
             last = nearest
         at_edge = (frame != values[nearest]).any(axis=2)
         off = np.abs(frame - values[last]).max(axis=2)
-        last = np.where(at_edge & (off <= _EDGE_TOLERANCE), last, nearest)
+        last = np.where(at_edge & (off <= 40), last, nearest)
         image = Image.fromarray(last)
         image.putpalette(palette())
         yield image

@@ -27,7 +27,6 @@ _HEIGHT_UNIT = 1e-4  # unit [m] of encoded heights
 _DRAWN_HEIGHT_LIMIT = 3.0  # drawn heights are clipped to +- this [m]
 _N_SHOWN = 2  # number of entries, best first, whose lines are shown at first
 _CLASS_FREQUENCIES = (0.05, 10.0)  # range [cycles/m] of the chart of densities
-_REPLICATES = 300  # bootstrap replicates of a performance profile: enough for a drawn line
 
 
 def _frequency_axis(low: float, high: float) -> Any:
@@ -274,7 +273,7 @@ def _runs_chart(scores: Mapping[str, np.ndarray], task: Task) -> fig.Chart:
     x = [fig.rounded(limit) for limit in thresholds]
     data, hover = [], "%{y:.0f} % of runs up to %{x:.2f}"
     for k, (name, values) in enumerate(scores.items()):
-        profile = performance_profile(values, thresholds, replicates=_REPLICATES, strata=strata)
+        profile = performance_profile(values, thresholds, strata)
         share, low, high = (np.round(100.0 * y, 1).tolist() for y in profile)
         own = {"legendgroup": name, **_visibility(k)}
         band = fig.area(x, low, high, fillcolor=f"{fig.colour(name)}2e", name=name, **own)

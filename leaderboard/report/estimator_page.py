@@ -21,8 +21,6 @@ from leaderboard.report.charts import ERROR_AXES, bound_lines, error_lines
 from leaderboard.report.tables import BoardView, Row, Section, train_seconds
 from leaderboard.running.board import Board
 
-_WORST_DRIVES = 3  # number of drives of a task with the largest errors that are listed
-_LABEL_LENGTH = 20  # length at which the name of a group is continued on a second line [characters]
 _NOMINAL_SHARES = np.linspace(0.05, 0.95, 19)  # probabilities of intervals that are calibrated
 _Evaluated = tuple[Section, Result, Row]  # a row of a board
 
@@ -126,8 +124,8 @@ def _error_figure(section: Section, result: Result, row: Row) -> fig.Chart | Non
     found = {name: x for name, values in groups.items() if (x := values.get(key)) is not None}
     if len(found) < 2:
         return None
-    labels = {
-        f"{'<br>'.join(textwrap.wrap(name, _LABEL_LENGTH))}  <b>{score.format_value(x)}</b>": x
+    labels = {  # in lines of 20 characters
+        f"{'<br>'.join(textwrap.wrap(name, 20))}  <b>{score.format_value(x)}</b>": x
         for name, x in found.items()
     }
     ends = [(groups[name].get("low"), groups[name].get("high")) for name in found]
@@ -178,7 +176,7 @@ def _standardized(trace: Trace) -> np.ndarray:
 
 
 def _worst_drives(section: Section, result: Result, *_: Any) -> list[tuple[str, ...]]:
-    """Return task, road, condition, training seed and error of the worst of several drives."""
+    """Return task, road, condition, training seed and error of the worst three of some drives."""
     key = section.task.board_definition.ranks_by
     runs = result.scores[result.scores["score"] == key]
     if len(runs) < 2:
@@ -186,7 +184,7 @@ def _worst_drives(section: Section, result: Result, *_: Any) -> list[tuple[str, 
     return [
         (result.task, f"{run.road}, seed {run.road_seed}", run.condition, f"{run.seed}",
          COLUMNS[key].text(run.value))
-        for run in runs.nlargest(_WORST_DRIVES, "value").itertuples()
+        for run in runs.nlargest(3, "value").itertuples()
     ]  # fmt: skip
 
 

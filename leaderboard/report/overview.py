@@ -11,10 +11,7 @@ from leaderboard.report.sentences import PAPER_NETWORK, scored_rows, unrelated_l
 from leaderboard.report.tables import Section, interval_text
 
 _MAX_BARS = 16  # number of entries in the chart of the ranking, best first
-_BAR_HEIGHT = 19  # height of a bar with its gap [pixels]
 _LABEL_HEIGHT = 15  # height of the label of a line [pixels]
-_MODEBAR_HEIGHT = 34  # height of the buttons above a chart [pixels]
-_STRIP_LENGTH = 30.0  # length of road [m] that the strip shows at first
 
 _MARK_LABEL = {
     "y": 1, "yref": "paper", "xanchor": "right", "xshift": -2, "showarrow": False,
@@ -50,10 +47,10 @@ def ranking_chart(section: Section) -> fig.Chart | None:
         ],
         "hovertemplate": "%{hovertext}<extra></extra>",
     }
-    top = _MODEBAR_HEIGHT + _LABEL_HEIGHT * len(marks)
+    top = 34 + _LABEL_HEIGHT * len(marks)  # [pixels] of the buttons, and of the labels below them
     label = "error" if key == "nrmse" else score.heading
     layout = {
-        "height": _BAR_HEIGHT * len(rows) + top + 44,
+        "height": 19 * len(rows) + top + 44,  # of bars with their gaps
         "margin": {"l": 8, "r": 12, "t": top, "b": 44},
         "showlegend": False,
         "bargap": 0.25,
@@ -91,7 +88,7 @@ def strip_chart(section: Section, results: Iterable[Result]) -> fig.Chart | None
         return None
     trace = next(iter(traces.values()))
     lines = height_lines(traces, side=0, kind="inside")
-    shown = [fig.rounded(lines[0]["x0"] + x) for x in (0.0, _STRIP_LENGTH)]
+    shown = [fig.rounded(lines[0]["x0"] + x) for x in (0.0, 30.0)]  # [m] at first
     layout = {"height": 310, "margin": {"l": 56, "r": 8, "t": 34, "b": 44}, **HEIGHT_AXES}
     layout["xaxis"] = layout["xaxis"] | {"range": shown}
     driven = f"Left wheel path of {trace.road} at {trace.speed_kmh:g} km/h"

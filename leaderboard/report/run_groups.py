@@ -9,7 +9,6 @@ from leaderboard.evaluation.tasks import Task
 ScoreSlice = tuple[list[int] | slice | np.ndarray, list[int] | slice | np.ndarray]
 """Index of roads and of conditions into scores (R, C, S), which keeps both axes."""
 
-_FLEXIBLE_GRADES = ("S2", "S3", "S4")  # grades of vehicles with a frame that twists
 FRAME_BANDS = (0.0, 10.0, 14.0, 100.0)  # limits of the groups of frames [Hz]
 
 
@@ -37,7 +36,7 @@ def run_groups(task: Task) -> dict[str, dict[str, ScoreSlice]]:
 
 def _frames(task: Task) -> dict[str, ScoreSlice]:
     """Return the runs of vehicles whose frame twists, by its frequency in FRAME_BANDS."""
-    flexible = [k for k, c in enumerate(task.conditions) if c.grade in _FLEXIBLE_GRADES]
+    flexible = [k for k, c in enumerate(task.conditions) if c.grade in ("S2", "S3", "S4")]
     if not flexible:
         return {}
     grade = task.conditions[flexible[0]].grade

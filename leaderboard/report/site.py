@@ -31,7 +31,6 @@ from leaderboard.running.board import Board
 from road_envs.core.atomic_io import write_text
 
 _MAX_DRAWN = 8  # number of entries of a task that are drawn, best first
-_DIGITS = 5  # significant digits of a number, which sorts and draws; its text is what is read
 
 
 def write_site(board: Board, report: Report, out: Path) -> Path:
@@ -132,7 +131,7 @@ def _row_data(row: Row, forms: dict[str, Any]) -> dict[str, Any]:
         "cells": {key: row.cells[key] for key in TEXT_COLUMNS if row.cells.get(key)},
         "groups": {
             name: {
-                key: [rounded(x, _DIGITS), form.format_value(x)]
+                key: [rounded(x, 5), form.format_value(x)]  # it sorts and draws; the text is read
                 for key, form in forms.items()
                 if (x := values.get(key)) is not None
             }

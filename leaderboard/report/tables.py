@@ -29,7 +29,6 @@ from leaderboard.running.board import Board
 from road_envs.sensing.perturbed_vehicle import GRADES
 
 _RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
-_NO_TRAINING = 0.05  # time [s] up to which an entry without parameters has not trained
 TRAINING_STATES = ("near_optimal", "sub_optimal", "unstable")
 ALL_RUNS = ""  # name of the group of all runs
 SPECTRUM_SCORES = tuple(name for name in SCORES if name.startswith("error_at_"))  # third octaves
@@ -188,9 +187,9 @@ def level_runs(scored: Sequence[Result], definition: BoardDefinition) -> np.ndar
 
 
 def train_seconds(result: Result) -> float | None:
-    """Return the mean time [s] of a training; None if it took none and left no parameters."""
+    """Return the mean time [s] of a training; None if it left no parameters within 0.05 s."""
     seconds = float(np.mean(result.train_seconds)) if result.train_seconds else 0.0
-    return seconds if result.parameters or seconds > _NO_TRAINING else None
+    return seconds if result.parameters or seconds > 0.05 else None
 
 
 def training_counts(results: Sequence[Result]) -> dict[str, int]:

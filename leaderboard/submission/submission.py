@@ -40,7 +40,6 @@ from road_envs.core.config import ConfigError, Settings, build
 SUBMISSION = Kind("submission", 1)
 RECORD, CARD = signature.RECORD, "card.yaml"
 _PARTS = "jobs"
-_UNSEALED = (RECORD, signature.FILE)  # files whose digests the record does not hold
 # share of the drives that are run again: a verification of some could be repeated until it misses
 SUBMISSION_SHARE = 1.0  # those that were forged
 
@@ -236,14 +235,14 @@ def _keeping_parts(folder: Path, parts: Path) -> Iterator[Callable[[], float]]:
 
 
 def _digests(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file of a submission but its record, by its path in the folder."""
+    """SHA-256 of every file of a submission but record and signature, by its path in the folder."""
     digests = {}
     for top, folders, names in os.walk(folder):
         for path in [Path(top), *(Path(top, name) for name in (*folders, *names))]:
             if path.is_symlink() or not (path.is_file() or path.is_dir()):
                 raise ConfigError(f"{path}: a submission has no links, pipes and devices")
         for path in (Path(top, name) for name in names):
-            if (place := path.relative_to(folder).as_posix()) not in _UNSEALED:
+            if (place := path.relative_to(folder).as_posix()) not in (RECORD, signature.FILE):
                 digests[place] = hashlib.sha256(path.read_bytes()).hexdigest()
     return digests
 
