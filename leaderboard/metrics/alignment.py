@@ -40,8 +40,7 @@ class _Alignment(NamedTuple):
     @property
     def note(self) -> str:
         """A sentence on the lag, and on what is scored."""
-        before = self.correlation_before
-        was = "" if np.isnan(before) else f", {before:.2f} before"
+        was = "" if np.isnan(self.correlation_before) else f", {self.correlation_before:.2f} before"
         return (
             f"aligned with the truth by {self.lag:+.2f} m (correlation of slopes in the scored "
             f"band {self.correlation:.2f}{was}); {self.truth.s[-1]:.1f} m overlap and are scored"

@@ -25,11 +25,9 @@ from scipy.stats import t
 _REPLICATES = 2000  # of an interval or a rank: its width varies by 1.6 %
 _QUANTILES = (0.5 - 0.95 / 2, 0.5 + 0.95 / 2)  # shares below the ends of an interval of 95 %
 MIN_ROADS = 5  # least number for an interval or a rank: with two, it is their two scores
+# share of a score by which the same program differs on other processors or kernels in half of its
+# runs: ten times the median that was measured (`evaluation.comparison`); nobody leads by less
 REPRODUCIBLE = 5e-3
-"""Share of a score by which the same program differs on other processors or kernels in half of its
-runs: ten times the median that was measured (`evaluation.comparison`). Nobody leads by less.
-"""
-
 MAX_BATCH_SCORES = 2_000_000  # scores held in memory at once while resampling: 16 MB
 Strata = Sequence[Sequence[int]]  # indices of the roads of each stratum (family of roads)
 _Mean = Callable[..., np.ndarray]  # of values, an axis and weights, as `interquartile_mean`
@@ -101,11 +99,6 @@ class Resampled(NamedTuple):
         least = max(REPRODUCIBLE * self.mean, np.finfo(float).tiny)
         logs = np.log(np.maximum(self.replicates, least))
         return Resampled(math.log(max(self.mean, least)), logs, self.n_drawn)
-
-    def minus(self, other: "Resampled") -> "Resampled":
-        """Return the paired difference: both were resampled on the same roads and seeds."""
-        drawn = min(self.n_drawn, other.n_drawn)
-        return Resampled(self.mean - other.mean, self.replicates - other.replicates, drawn)
 
 
 def _half_width(std: ArrayLike, n_drawn: ArrayLike) -> np.ndarray:

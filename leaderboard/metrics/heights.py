@@ -38,9 +38,7 @@ _SEGMENT_LENGTH = 10.0  # [m] Welch segment of the coherence: resolution 0.1 cyc
 _NEGLIGIBLE = 1e-9  # an RMS below this share of the truth's is rounding error
 
 
-class _Sides(NamedTuple):
-    """A score of each wheel path, and of both pooled."""
-
+class _Sides(NamedTuple):  # a score of each wheel path, and of both pooled
     left: float
     right: float
     pooled: float
@@ -54,9 +52,7 @@ class Correlation(NamedTuple):
     r_at_lag: float
 
 
-class _Uncertainty(NamedTuple):
-    """CRPS [m], and the shares [-] of errors inside the 50 % and 90 % intervals."""
-
+class _Uncertainty(NamedTuple):  # CRPS [m], shares [-] of errors inside 50 % and 90 % intervals
     crps: float
     coverage_50: float
     coverage_90: float

@@ -21,9 +21,7 @@ from road_envs.records.roughness import (
     smooth_psd,
 )
 
-THIRD_OCTAVES = 2.0 ** (np.arange(-9, 6) / 3.0)
-"""Centres [cycles/m] of the third octaves of the error spectrum: 0.125 to 3.17."""
-
+THIRD_OCTAVES = 2.0 ** (np.arange(-9, 6) / 3.0)  # their centres [cycles/m], from 0.125 to 3.17
 _OCTAVE_CENTRES = (0.25, 0.5, 1.0, 2.0)  # [cycles/m] octaves in which classes are compared
 
 

@@ -92,8 +92,7 @@ def _climb(drives: Drives, i: int, best: np.ndarray, sweeps: int, rng: np.random
             if part == 0:
                 _sweep(drives, i, plan, rng)
             else:
-                sums = np.convolve(prices, np.ones(length), "valid")
-                first = int(sums.argmax())
+                first = int(np.convolve(prices, np.ones(length), "valid").argmax())
                 _sweep(drives, i, plan, rng, first, first + length, heat)
             prices = _prices(drives, i, plan)
             if prices.sum() < least:

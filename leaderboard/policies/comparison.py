@@ -32,7 +32,7 @@ PUBLIC_DRIVES = 8  # number of public drives; each is driven to both sides
 _SHORTEST_SEAL = 16  # characters: a policy can draw the drives of a thousand texts in a second
 TIE = 0.01  # difference of scores [m²/s⁴] within which two policies are even on a drive
 
-GROUPS: Mapping[str, tuple[str, str]] = {
+GROUPS: Mapping[str, tuple[str, str]] = {  # of drives: a field of `SafeDrive`, and its value
     "known": ("group", "known"),
     "unseen": ("group", "unseen"),
     "left": ("side", "left"),
@@ -40,7 +40,6 @@ GROUPS: Mapping[str, tuple[str, str]] = {
     **{grade: ("grade", grade) for grade in ("S0", "S1", "S2", "S3")},
     **{kind.replace("_", " "): ("severe", kind) for kind in ("lane_change", "j_turn", "fishhook")},
 }
-"""Groups of drives by name: a field of `SafeDrive`, and its value; a row has the score of each."""
 
 
 def members(drives: Drives, group: str) -> np.ndarray:

@@ -22,7 +22,6 @@ _LOAD_COLOURS = (INK, "var(--line-1)", "var(--line-2)", "var(--line-3)")  # of W
 
 class Timeline(NamedTuple):
     """Signals of a drive at times `t` (T,) [s].
-
     `loads` (4, T) [N] of the tyres FL, FR, RL, RR; `states` (2, T): index into MODE_NAMES of the
     commanded state of front and rear; heave `acceleration` (T,) [m/s²]; `roll` (T,) [rad].
     """

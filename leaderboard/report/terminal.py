@@ -20,10 +20,9 @@ _STYLES = dict(scored="bold", baseline="dim", claim="italic", failed="red", stal
 _LEGEND = (
     "NRMSE: error over truth, RMS, in 0.2 to min(1.8, 22.5 Hz / v) cycles/m; a flat road has 1. "
     "Interquartile means over roads and trainings; worst: the worst drive; > 0.3, > 1: shares of "
-    f"drives above. The row bound is the {BOUND_NAME}. "
-    "eq. 12: error of the RMS level alone, as printed, and about the mean; it is that of the "
-    "longest waves, which kalman_lag for one cuts off. "
-    "Rank: the place by score, shared unless more entries are significantly better. No rank, "
+    f"drives above. The row bound is the {BOUND_NAME}. eq. 12: error of the RMS level alone, as "
+    "printed, and about the mean; it is that of the longest waves, which kalman_lag for one cuts "
+    "off. Rank: the place by score, shared unless more entries are significantly better. No rank, "
     "interval or worst drive from fewer than 5 roads. Dim rows: baselines. 5/5 beside a name: "
     "probes passed, of those that apply (--probes)."
 )

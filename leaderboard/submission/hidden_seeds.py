@@ -32,10 +32,9 @@ from road_envs.core.reading import parsing, regular
 
 COMMITMENT, SALT = "commitment.json", "salt.txt"
 _AS_GIVEN = ("utf-8", "surrogateescape")  # a salt may be any bytes
+# characters and bytes of a salt: a shorter one could be found by brute force, and scrypt takes a
+# longer one for its digest, which would be a second salt with other seeds
 _SALT_LENGTHS = range(12, 65)
-"""Numbers of characters and bytes of a salt: a shorter one could be found by brute force, and
-scrypt takes a longer one for its digest, which would be a second salt with other seeds.
-"""
 
 SEEDS_ALONE = (
     "Only the seeds are known to be those of before the entries: roads, cars and speeds are of a "
@@ -127,7 +126,7 @@ def check_revealed(path: Path, root: Path) -> str:
         salt = regular(folder / SALT).read_bytes().decode(*_AS_GIVEN)
     if _commitment(salt, hidden) != hidden.commitment:
         raise ConfigError(f"{folder / SALT}: the salt does not match the commitment")
-    name = {_season_name(task, hidden): task for task in hidden.tasks}.get(path.stem)
+    name = {f"{x}_{hidden.commitment[:8]}": x for x in hidden.tasks}.get(path.stem)
     public = None if name is None else load_task(name)
     if public is None or not _is_drawn(path, salt, hidden, public):
         raise ConfigError(f"{path}: it is no task of the commitment in {folder / COMMITMENT}")
@@ -171,12 +170,9 @@ def _hidden_task(salt: str, hidden: _HiddenSeeds, name: str) -> dict[str, Any]:
             [block * k + index for k in range(repeats) for index in indices]
             for indices in task.test.design
         ]
-    title = f"{task.title}; season {hidden.commitment[:8]}"
-    return {**data, "name": _season_name(task.name, hidden), "title": title, "test": test}
-
-
-def _season_name(task: str, hidden: _HiddenSeeds) -> str:
-    return f"{task}_{hidden.commitment[:8]}"
+    season = hidden.commitment[:8]
+    named = {"name": f"{task.name}_{season}", "title": f"{task.title}; season {season}"}
+    return {**data, **named, "test": test}
 
 
 def _seeds(salt: str, hidden: _HiddenSeeds, task: Task, digest: str, count: int) -> list[int]:
