@@ -82,7 +82,6 @@ def _segment_iri(scored: ScoredEstimate, length: float) -> np.ndarray:
 @metric("IRI-filtered cross-correlation, R 56-style", digits=2, better="high", head="R 56-style")
 def iri_cross_correlation(scored: ScoredEstimate) -> float:
     """Cross-correlation of IRI-filtered profiles, scaled by their amplitudes, R 56-style.
-
     Mean of both wheel paths. Inertial profilers had 0.95 on dense-graded and 0.64 on open-graded
     asphalt (Nazef & Mraz, RPUG 2013).
     """

@@ -124,9 +124,6 @@ class Metric:
         return f"{self.label} [{self.unit}]" if self.unit else self.label
 
 
-_Scores = Callable[[ScoredEstimate], Sequence[float]]
-
-
 def metric(label: str, **form: Any) -> Callable[[Callable[[ScoredEstimate], float]], Metric]:
     """Return a decorator that makes a function a Metric with this format."""
 
@@ -137,10 +134,10 @@ def metric(label: str, **form: Any) -> Callable[[Callable[[ScoredEstimate], floa
     return declare
 
 
-def metrics(*forms: Metric) -> Callable[[_Scores], tuple[Metric, ...]]:
+def metrics(*forms: Metric) -> Callable[[Callable[..., Sequence[float]]], tuple[Metric, ...]]:
     """Return a decorator that makes a function of several scores a Metric for each of `forms`."""
 
-    def declare(function: _Scores) -> tuple[Metric, ...]:
+    def declare(function: Callable[..., Sequence[float]]) -> tuple[Metric, ...]:
         def score(k: int) -> Callable[[ScoredEstimate], float]:
             return lambda scored: scored.shared(function)[k]
 

@@ -30,6 +30,7 @@ BEST_FOUND = "best found"  # name of the row of `best_found.search`
 REFERENCE = "rrms"  # policy that differences refer to by default
 PUBLIC_DRIVES = 8  # number of public drives; each is driven to both sides
 _SHORTEST_SEAL = 16  # characters: a policy can draw the drives of a thousand texts in a second
+_round = partial(rounded, digits=5)  # more is noise, and people read the file
 TIE = 0.01  # difference of scores [m²/s⁴] within which two policies are even on a drive
 
 GROUPS: Mapping[str, tuple[str, str]] = {  # of drives: a field of `SafeDrive`, and its value
@@ -46,9 +47,6 @@ def members(drives: Drives, group: str) -> np.ndarray:
     """Return which drives (N,) belong to one of GROUPS."""
     field, value = GROUPS[group]
     return np.array([getattr(start.description, field) == value for start in drives.starts])
-
-
-_round = partial(rounded, digits=5)  # more is noise, and people read the file
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,7 @@ OPTIONS: Mapping[str, Any] = {
     "manoeuvre": {"kind": "lane_change", "offset": 2.0},
     "observe": ["accelerations", "planar", "struts"],
 }
+_Verdict = tuple[bool | None, str]  # whether a check is passed, and a sentence
 SEEDS = range(4)  # seeds of the roads, one for each vehicle
 _REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")  # on purpose
 
@@ -75,9 +76,6 @@ def check_policy(
             _attempt("sensors", lambda: _damaged_sensors(policy, first.observations), policy),
         ]
         return [*results, *_costs(limits, seconds, policy.peak_memory)]
-
-
-_Verdict = tuple[bool | None, str]
 
 
 def _attempt(name: str, check: Callable[[], _Verdict], policy: PolicyProcess) -> CheckResult:

@@ -10,18 +10,14 @@ from road_envs.core.config import folder, read_yaml, validate_choice
 WORST = "worst"
 TAIL = {"above_0.3": 0.3, "above_1": 1.0}  # columns of the share of drives above
 BELOW_BOUND = "below_bound"
+# estimators that use the nonlinear car and higher frequencies may be below
 BOUND_NAME = "bound of a linear car without friction, from data below 25 Hz"
-"""Name of the bound; estimators that use the nonlinear car and higher frequencies may be below."""
-
 BOUND_ROW = "bound"
 LIMIT_ROWS = (BOUND_ROW, "attainable")  # rows that are no estimator's
 RANK_COLUMNS = {"offline": "rank", "causal": "rank_causal"}  # column with the ranks of a division
 TEXT_COLUMNS = ("interval", "states", "slope_interval", "calibrates")  # no single numbers
-
-
 _DERIVED = read_yaml(folder() / "report" / "derived_columns.yaml")
 COLUMNS: dict[str, Metric] = SCORES | {key: Metric(key, **form) for key, form in _DERIVED.items()}
-"""Every column by key: the scores, and what is derived from them."""
 
 
 def column_forms(definition: BoardDefinition) -> dict[str, Metric]:

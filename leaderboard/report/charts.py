@@ -26,6 +26,8 @@ from road_envs.sensing.instruments import load_instruments
 _HEIGHT_UNIT = 1e-4  # unit [m] of encoded heights
 _DRAWN_HEIGHT_LIMIT = 3.0  # drawn heights are clipped to +- this [m]
 _N_SHOWN = 2  # number of entries, best first, whose lines are shown at first
+_BOUNDS: dict[tuple[str, str], list[float]] = {}  # by task and condition, for every page
+_ERROR_HOVER = "%{y:.3f} at %{x:.2f} cycles/m"
 _CLASS_FREQUENCIES = (0.05, 10.0)  # range [cycles/m] of the chart of densities
 
 
@@ -220,10 +222,6 @@ def error_lines(rows: Mapping[str, Row], group: str) -> list[dict[str, Any]]:
         look = _look_of_entry(k, name) | {"hovertemplate": _ERROR_HOVER}
         lines.append(fig.curve(name, THIRD_OCTAVES, y, **look))
     return lines
-
-
-_BOUNDS: dict[tuple[str, str], list[float]] = {}  # by task and condition, for every page
-_ERROR_HOVER = "%{y:.3f} at %{x:.2f} cycles/m"
 
 
 def _third_octave_bound(task: Task, condition: Condition) -> list[float]:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 COLOURS = {"left": "#0072B2", "right": "#D55E00", "truth": "#222222", "sensor": "#009E73"}
 SIDES = ("left", "right")
+_LINE_STYLES = (("#D55E00", "-"), ("#0072B2", "--"), ("#009E73", "-."), ("#CC79A7", ":"))
 
 _SVG_STYLE: Any = {  # of the figures of a page
     "svg.fonttype": "none", "svg.hashsalt": "roadrecon", "font.size": 8.5, "axes.linewidth": 0.6,
@@ -113,9 +114,6 @@ def estimate_figure(truth: Profile | None, estimate: Estimate, v: float) -> Any:
         low, high = band
         panels[0].set_title(f"scored band: {low:g} to {high:.2g} cycles/m", loc="left", fontsize=10)
     return figure
-
-
-_LINE_STYLES = (("#D55E00", "-"), ("#0072B2", "--"), ("#009E73", "-."), ("#CC79A7", ":"))
 
 
 def draw_observability(

@@ -40,9 +40,8 @@ from road_envs.core.config import ConfigError, Settings, build
 SUBMISSION = Kind("submission", 1)
 RECORD, CARD = signature.RECORD, "card.yaml"
 _PARTS = "jobs"
-# share of the drives that are run again: a verification of some could be repeated until it misses
-SUBMISSION_SHARE = 1.0  # those that were forged
-
+# a verification of some drives could be repeated until it misses those that were forged
+SUBMISSION_SHARE = 1.0  # of the drives are run again
 _Progress = Callable[[str, float], None]
 
 
