@@ -21,18 +21,14 @@ from road_envs.records.roughness import golden_car, iri
 _LAG_MAX = 1.0  # largest lag [m] of the cross-correlation
 
 
-class _BlandAltman(NamedTuple):
-    """Mean difference `bias`, and the limits bias ± 1.96 standard deviations of the differences
-    (Bland & Altman, Lancet 327, 1986).
-    """
-
+class _BlandAltman(NamedTuple):  # bias, and bias ± 1.96 standard deviations (Lancet 327, 1986)
     bias: float
     lower: float
     upper: float
 
 
 def bland_altman(x: np.ndarray, y: np.ndarray) -> _BlandAltman:
-    """Return the limits of agreement of x - y, two measurements (N,) of the same segments."""
+    """Return mean and limits of agreement of x - y, two measurements (N,) of the same segments."""
     difference = np.subtract(x, y, dtype=float)
     bias = float(difference.mean())
     spread = 1.96 * float(difference.std(ddof=1)) if difference.size > 1 else np.nan

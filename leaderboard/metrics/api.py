@@ -48,8 +48,8 @@ class ScoredEstimate:
     ) -> None:
         self.y, self.a = truth.z, np.clip(estimate.z, -_HEIGHT_LIMIT, _HEIGHT_LIMIT)
         self.std = None if estimate.z_std is None else np.minimum(estimate.z_std, _HEIGHT_LIMIT)
-        self.ds, self.v, self.bumps, self.bound = truth.ds, v, bumps, bound
-        self.wandering = wandering
+        self.ds, self.v, self.bound = truth.ds, v, bound
+        self.bumps, self.wandering = bumps, wandering
         self._shared: dict[Callable[..., Any], Any] = {}
 
     @property

@@ -59,9 +59,7 @@ class Comparison:
 
 
 def public_drives(number: int = PUBLIC_DRIVES, seal: str | None = None) -> Drives:
-    """Return the public drives, or the sealed ones: both groups in turn, each to both sides. Raises
-    ConfigError for a short `seal`.
-    """
+    """Return the public or sealed drives, each to both sides. Raises ConfigError (short `seal`)."""
     if seal is not None and len(seal) < _SHORTEST_SEAL:
         raise ConfigError(
             f"the seal must have at least {_SHORTEST_SEAL} characters, got {len(seal)}: a policy "

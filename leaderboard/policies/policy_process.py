@@ -55,8 +55,7 @@ class PolicyProcess:
             )
         # its process has another working folder
         self.reference = str(Path(reference).absolute()) if is_file else reference
-        self.settings = dict(settings or {})
-        self.limits = limits
+        self.settings, self.limits = dict(settings or {}), limits
         self.act_seconds: list[float] = []  # of each call
         self.peak_memory, self._n_vehicles, self._count = 0.0, 0, 0
         self._guest: Guest | None = None

@@ -196,15 +196,11 @@ def _version_notes(results: Sequence[Result]) -> list[str]:
     notes = []
     for name in ("python", *LIBRARIES):
         made = {r.estimator: r.environment[name] for r in results if name in r.environment}
-        if name == "python":
-            made = {k: " or ".join(_minor_versions(versions)) for k, versions in made.items()}
+        if name == "python":  # of the parts of a row, such as "3.11.4 or 3.11.5 or 3.12.0"
+            parts = {k: [x.rpartition(".")[0] for x in v.split(" or ")] for k, v in made.items()}
+            made = {k: " or ".join(dict.fromkeys(minor)) for k, minor in parts.items()}
         notes += _notes_on_others(made, f"ran with {name} {{}}, the others with {{}}")
     return notes
-
-
-def _minor_versions(versions: str) -> Iterable[str]:
-    """Return 3.11 and 3.12 of "3.11.4 or 3.11.5 or 3.12.0", the versions of the parts of a row."""
-    return dict.fromkeys(version.rpartition(".")[0] for version in versions.split(" or "))
 
 
 def _notes_on_others(made: Mapping[str, str], text: str) -> list[str]:

@@ -10,7 +10,6 @@ from leaderboard.report.rendering import file_name
 from leaderboard.report.sentences import PAPER_NETWORK, scored_rows, unrelated_level_errors
 from leaderboard.report.tables import Section, interval_text
 
-_MAX_BARS = 16  # number of entries in the chart of the ranking, best first
 _LABEL_HEIGHT = 15  # height of the label of a line [pixels]
 
 _MARK_LABEL = {
@@ -20,8 +19,8 @@ _MARK_LABEL = {
 
 
 def ranking_chart(section: Section) -> fig.Chart | None:
-    """Return the ranking as bars with intervals; bound and baselines are lines. None if empty."""
-    if not (rows := scored_rows(section)[:_MAX_BARS]):
+    """Return the 16 best as bars with intervals, bound and baselines as lines; None if empty."""
+    if not (rows := scored_rows(section)[:16]):
         return None
     definition = section.task.board_definition
     key = definition.ranks_by

@@ -1,9 +1,8 @@
 """Rows of the boards, as plain data for the terminal, the pages and the exports.
 
 Scores are interquartile means over roads, conditions and training seeds, and again over each
-condition and each family of roads alone. Every row has its numbers and their text; a failed or
-stale result is a row with a message and without scores. Ranks are given among all entries (offline
-division) and among the causal ones.
+condition and each family of roads alone. Ranks are given among all entries (offline division) and
+among the causal ones.
 """
 
 from collections.abc import Mapping, Sequence
@@ -126,9 +125,7 @@ def is_ranked(row: Row, definition: BoardDefinition) -> bool:
     return row.state == "scored" and (bool(row.causal) or boards.ranked_kind(definition) == "entry")
 
 
-class _Averages(NamedTuple):
-    """Means of a result by group and score; `ranked` (R, C, S) holds the ranking score."""
-
+class _Averages(NamedTuple):  # by group and score; `ranked` (R, C, S) has the ranking score
     result: Result
     values: dict[str, _Values]
     ranked: np.ndarray
