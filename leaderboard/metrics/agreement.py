@@ -21,7 +21,7 @@ from road_envs.records.roughness import golden_car, iri
 _LAG_MAX = 1.0  # largest lag [m] of the cross-correlation
 
 
-class _BlandAltman(NamedTuple):  # bias, and bias ± 1.96 standard deviations (Lancet 327, 1986)
+class _BlandAltman(NamedTuple):  # limits: bias ± 1.96 deviations (Bland & Altman, Lancet 327, 1986)
     bias: float
     lower: float
     upper: float

@@ -95,14 +95,14 @@ class Resampled(NamedTuple):
         return Interval(self.mean, self.mean - half, self.mean + half)
 
     def logarithm(self) -> "Resampled":
-        """Return the logarithms; what is below `REPRODUCIBLE` of the mean, such as 0, is as it."""
+        """Return the logarithms of mean and replicates, of `REPRODUCIBLE` of the mean at least."""
         least = max(REPRODUCIBLE * self.mean, np.finfo(float).tiny)
         logs = np.log(np.maximum(self.replicates, least))
         return Resampled(math.log(max(self.mean, least)), logs, self.n_drawn)
 
 
 def _half_width(std: ArrayLike, n_drawn: ArrayLike) -> np.ndarray:
-    """Return half the width of a 95 % interval of replicates, of so many roads each."""
+    """Return half the width of a 95 % interval, from the `std` of replicates of `n_drawn` roads."""
     return np.asarray(std * t.ppf(_QUANTILES[1], n_drawn))
 
 
@@ -134,7 +134,7 @@ def performance_profile(
     scores: np.ndarray, thresholds: np.ndarray, strata: Strata | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the shares (T,) of `scores` (R, C, S) at or below each of `thresholds` (T,), and the
-    lower and upper ends (T,) of their bootstrap intervals. NaN marks a missing run.
+    ends (T,) of their bootstrap intervals. NaN: a missing run; infinity: one above every threshold.
     """
 
     def shares(x: np.ndarray, weights: np.ndarray) -> np.ndarray:

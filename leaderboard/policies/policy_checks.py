@@ -46,7 +46,7 @@ _REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")  # on purpose
 def check_policy(
     reference: str, settings: Mapping[str, Any] | None = None, limits: Limits = POLICY_LIMITS
 ) -> list[CheckResult]:
-    """Run all checks of a policy by its reference for `make_policy`; one alone if it cannot run."""
+    """Run all checks of a policy, by its reference for `make_policy`; "runs" alone if it fails."""
     with PolicyProcess(reference, settings, limits) as policy:
         try:
             first = roll_out(policy, dict(OPTIONS), SEEDS)

@@ -22,8 +22,8 @@ RECORD = "submission.json"
 
 
 def signer(key: Path) -> Callable[[Path], str]:
-    """Return what signs the record in a folder with a private `key`, made if it does not exist, and
-    returns the public one. Raises ConfigError for a file that is no key.
+    """Return a function that signs the record in a folder with a private `key`, made if it does not
+    exist, and returns the public one. Raises ConfigError for a file that is no key.
     """
     ed25519, serialization, _ = _library()
     if not key.exists():
