@@ -84,10 +84,12 @@ def main() -> None:
     for pair, columns in found.items():
         cells = [f"{'/'.join(pair):20s}{columns['bound'].interval().mean:7.3f}"]
         for name in ESTIMATORS:
-            more = columns[name].minus(found[REFERENCE][name]).interval()
+            own, other = columns[name], found[REFERENCE][name]  # paired road by road
+            apart, drawn = own.replicates - other.replicates, min(own.n_drawn, other.n_drawn)
+            more = Resampled(own.mean - other.mean, apart, drawn).interval()
             text = f"{more.mean:+.3f} ({more.low:+.3f} to {more.high:+.3f})"
-            own = "" if pair == REFERENCE else text
-            cells.append(f"{columns[name].interval().mean:17.3f} {own:>27s}")
+            text = "" if pair == REFERENCE else text
+            cells.append(f"{own.interval().mean:17.3f} {text:>27s}")
         print(*cells)
 
 

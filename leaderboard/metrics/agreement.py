@@ -7,8 +7,7 @@ correlation for objective comparison of profiles"):
 
     R = max over lags of <P(s) Q(s + lag)> / (sigma_P sigma_Q) x min(sigma_P, sigma_Q) / max(...)
 
-It is 1 only where both the places and the sizes of roughness agree. It is a comparison in the style
-of that practice, not a certification by it.
+It is 1 only where places and sizes of roughness agree. It is in that style, no certification by it.
 """
 
 from typing import NamedTuple
@@ -19,24 +18,17 @@ from scipy.signal import correlate, correlation_lags
 from leaderboard.metrics.api import Metric, ScoredEstimate, metric, metrics
 from road_envs.records.roughness import golden_car, iri
 
-_SEGMENT_LENGTH = 100.0  # length [m] of the segments whose IRI is compared
-
-_SHORT_SEGMENT = 20.0  # [m] for limits of agreement and ICC, of which a drive needs several
 _LAG_MAX = 1.0  # largest lag [m] of the cross-correlation
 
 
-class _BlandAltman(NamedTuple):
-    """Mean difference `bias`, and the limits bias ± 1.96 standard deviations of the differences
-    (Bland & Altman, Lancet 327, 1986).
-    """
-
+class _BlandAltman(NamedTuple):  # limits: bias ± 1.96 deviations (Bland & Altman, Lancet 327, 1986)
     bias: float
     lower: float
     upper: float
 
 
 def bland_altman(x: np.ndarray, y: np.ndarray) -> _BlandAltman:
-    """Return the limits of agreement of x - y, two measurements (N,) of the same segments."""
+    """Return mean and limits of agreement of x - y, two measurements (N,) of the same segments."""
     difference = np.subtract(x, y, dtype=float)
     bias = float(difference.mean())
     spread = 1.96 * float(difference.std(ddof=1)) if difference.size > 1 else np.nan
@@ -44,10 +36,9 @@ def bland_altman(x: np.ndarray, y: np.ndarray) -> _BlandAltman:
 
 
 def intraclass_correlation(x: np.ndarray) -> float:
-    """Return ICC(2,1) of measurements (N, K) of N segments in K passes: absolute agreement.
-
-    Shrout & Fleiss, Psychological Bulletin 86, 1979: passes and segments are random samples. NaN
-    for fewer than two segments or passes, or without any scatter.
+    """Return ICC(2,1) of measurements (N, K) of N segments in K passes: absolute agreement, of
+    random samples of both (Shrout & Fleiss, Psychological Bulletin 86, 1979). NaN for fewer than
+    two segments or passes, or without any scatter.
     """
     x = np.asarray(x, dtype=float)
     n, k = x.shape
@@ -78,22 +69,20 @@ def iri_filtered_correlation(y: np.ndarray, a: np.ndarray, ds: float) -> float:
     return float(correlate(P, Q, method="fft")[near].max() / max(power))
 
 
-def _segment_iri(scored: ScoredEstimate, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return true and estimated IRI [mm/m] of both wheel paths by segment, each (N,)."""
+def _segment_iri(scored: ScoredEstimate, length: float) -> np.ndarray:
+    """Return true and estimated IRI [mm/m] of both wheel paths by segment, (2, N)."""
     length = min(length, (scored.y.shape[1] - 1) * scored.ds - 1.0)
-    true, found = (iri(z, scored.ds, segment=length).ravel() for z in (scored.y, scored.a))
-    return true, found
+    return np.array([iri(z, scored.ds, segment=length).ravel() for z in (scored.y, scored.a)])
 
 
 @metric("IRI-filtered cross-correlation, R 56-style", digits=2, better="high", head="R 56-style")
 def iri_cross_correlation(scored: ScoredEstimate) -> float:
     """Cross-correlation of IRI-filtered profiles, scaled by their amplitudes, R 56-style.
-
     Mean of both wheel paths. Inertial profilers had 0.95 on dense-graded and 0.64 on open-graded
     asphalt (Nazef & Mraz, RPUG 2013).
     """
-    pairs = zip(scored.y, scored.a, strict=True)
-    return float(np.mean([iri_filtered_correlation(y, a, scored.ds) for y, a in pairs]))
+    paths = zip(scored.y, scored.a, strict=True)
+    return float(np.mean([iri_filtered_correlation(y, a, scored.ds) for y, a in paths]))
 
 
 @metrics(
@@ -103,7 +92,7 @@ def iri_cross_correlation(scored: ScoredEstimate) -> float:
            help="RMS difference of the IRI per 100 m of both wheel paths."),
 )  # fmt: skip
 def _difference(scored: ScoredEstimate) -> tuple[float, ...]:
-    true, found = _segment_iri(scored, _SEGMENT_LENGTH)
+    true, found = _segment_iri(scored, 100.0)
     return bland_altman(found, true).bias, float(np.sqrt(np.mean((found - true) ** 2)))
 
 
@@ -116,6 +105,6 @@ def _difference(scored: ScoredEstimate) -> tuple[float, ...]:
            help="ICC(2,1) of the true and the estimated IRI per 20 m of both wheel paths."),
 )  # fmt: skip
 def _agreement(scored: ScoredEstimate) -> tuple[float, ...]:
-    true, found = _segment_iri(scored, _SHORT_SEGMENT)
+    true, found = _segment_iri(scored, 20.0)  # of which a drive has several
     _, lower, upper = bland_altman(found, true)
     return lower, upper, intraclass_correlation(np.stack([true, found], axis=1))

@@ -20,23 +20,15 @@ from road_envs.records.roughness import band_pass
 from road_envs.roads import Surface
 
 _LOCAL_WINDOW, _LOCAL_STEP = 20.0, 5.0  # length [m] of windows of a local alignment, and step
+# largest lag [m] of an estimate whose positions wander, three standard deviations of the worst
+# receiver (`position_noise`), and its change over the distance
 _LOCAL_SEARCH, _LOCAL_STRETCH = 9.0, 0.06
-"""Largest lag [m] of an estimate whose positions wander, three standard deviations of the worst
-receiver (`position_noise`), and its change over the distance.
-"""
-
-_MIN_LOCAL_CORRELATION = 0.5
-"""Mean correlation of the windows below which an estimate does not match; that of unrelated roads,
-whose lags are free too, is 0.2.
-"""
-
 _BEYOND = 0.6  # leads the search through windows beyond the ends of the truth, which do not count
 
 
 class _Alignment(NamedTuple):
-    """Truth and estimate over their overlap; the estimate was moved by `lag` [m] towards larger
-    stations. `correlation` of the slopes in the scored band, at this lag and where the stations
-    had put it.
+    """Truth and estimate, moved by `lag` [m] towards larger stations, over their overlap, with the
+    `correlation` of slopes in the scored band, at this lag and where the stations had put it.
     """
 
     truth: Profile
@@ -48,8 +40,7 @@ class _Alignment(NamedTuple):
     @property
     def note(self) -> str:
         """A sentence on the lag, and on what is scored."""
-        before = self.correlation_before
-        was = "" if np.isnan(before) else f", {before:.2f} before"
+        was = "" if np.isnan(self.correlation_before) else f", {self.correlation_before:.2f} before"
         return (
             f"aligned with the truth by {self.lag:+.2f} m (correlation of slopes in the scored "
             f"band {self.correlation:.2f}{was}); {self.truth.s[-1]:.1f} m overlap and are scored"
@@ -57,20 +48,17 @@ class _Alignment(NamedTuple):
 
 
 def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) -> _Alignment:
-    """Align an estimate of a drive at `v` [m/s] with the `road` that was driven.
-
-    `chainage` [m] is the station of the road at which station 0 of the estimate is assumed. Raises
-    ConfigError if the profiles do not overlap, or do not match at any lag.
+    """Align an estimate of a drive at `v` [m/s] with the `road` that was driven, where station 0 of
+    the estimate is assumed at `chainage` [m]. Raises ConfigError if they overlap or match nowhere.
     """
     ds, band = estimate.ds, scored_band(v)
     first = int(np.ceil((road.start - chainage) / ds))
     size = int(np.floor((road.end - chainage) / ds)) - first + 1
     trimmed = round(1.0 / (band[0] * ds))  # of either profile, by the band-pass
     needed = int(np.ceil(MIN_OVERLAP / ds))
-    if min(size, estimate.s.size) < needed + 2 * trimmed:
-        shorter = ds * min(size, estimate.s.size)
+    if (shorter := min(size, estimate.s.size)) < needed + 2 * trimmed:
         raise ConfigError(
-            f"{shorter:.1f} m are too short to be aligned with the truth: at least "
+            f"{ds * shorter:.1f} m are too short to be aligned with the truth: at least "
             f"{MIN_OVERLAP + 2 * trimmed * ds:.0f} m are needed"
         )
     grid = first + np.arange(size)
@@ -109,7 +97,6 @@ def align_locally(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return heights `y` of the truth, and `a` of an estimate with their deviation `std`, if any,
     moved to where their slopes match those of the truth, window by window; as they are if none do.
-
     All are (2, M) [m], `ds` [m] apart, of a drive at `v` [m/s]; what is returned (2, K) is at the
     stations of the truth that the estimate covers.
     """
@@ -117,7 +104,7 @@ def align_locally(
     mapped, moved = s, a
     for _ in range(3):  # from the second time on with windows that are hardly stretched
         centres, lags, correlation = _local_lags(y, moved, ds, v)
-        if not correlation >= _MIN_LOCAL_CORRELATION:
+        if not correlation >= 0.5:  # that of unrelated roads, whose lags are free too, is 0.2
             return y, a, std
         mapped = mapped + np.interp(mapped, centres, lags)
         moved = CubicSpline(mapped, a, axis=1)(np.clip(s, mapped[0], mapped[-1]))
@@ -165,18 +152,15 @@ def _window_correlations(
     """
     scores = np.full((begins.size, 2 * reach + 1), _BEYOND)
     for row, begin in zip(scores, begins.tolist(), strict=True):
-        low, high = max(begin - reach, 0), min(begin + size + reach, truth.shape[1])
-        k, r = lag_correlations(
-            truth[:, low:high], found[:, begin : begin + size], size, low - begin
-        )
+        low, window = max(begin - reach, 0), found[:, begin : begin + size]
+        k, r = lag_correlations(truth[:, low : begin + size + reach], window, size, low - begin)
         row[k + reach] = r
     return scores
 
 
 def _likeliest_path(scores: np.ndarray, most: int) -> np.ndarray:
-    """Return the columns (W,) of `scores` (W, L) with the largest sum among all that change by
-    `most` at most from row to row, by dynamic programming (Sakoe & Chiba, IEEE Trans. ASSP 26,
-    1978, 43-49).
+    """Return the columns (W,) of `scores` (W, L) that change by `most` at most from row to row with
+    the largest sum: dynamic programming (Sakoe & Chiba, IEEE Trans. ASSP 26, 1978, 43-49).
     """
     total = scores.copy()
     for w in range(1, len(scores)):

@@ -24,19 +24,16 @@ from leaderboard.metrics.alignment import align_locally
 from road_envs.records.record import Estimate, Profile
 from road_envs.records.roughness import displacement_psd
 
-PERCENT: Any = {"unit": "%", "factor": 100.0, "digits": 0}
-"""Format of a share."""
-
+PERCENT: Any = {"unit": "%", "factor": 100.0, "digits": 0}  # format of a share
 _HEIGHT_LIMIT = 1e6  # [m] to which estimates are clipped: an absurd one still has a score
 
 
 class ScoredEstimate:
     """Truth and estimate of one drive, and what several metrics need of them, computed once.
 
-    `y` and `a` (2, M) [m] are the true and the estimated heights, `ds` [m] apart, `v` [m/s] is the
-    speed, `std` (2, M) [m] the standard deviation of the estimate, if it has one. `bumps`:
-    obstacles are scored, `bound` is the bound on the NRMSE of this drive or NaN, `wandering`: the
-    positions wander, so that heights are also scored after local alignment.
+    `y` and `a` (2, M) [m] are the true and the estimated heights, `ds` [m] apart at `v` [m/s], with
+    the deviation `std` (2, M) [m] of the estimate, if it has one. `bumps`: obstacles are scored;
+    `bound` is that on the NRMSE of this drive or NaN; `wandering`: so are locally aligned heights.
     """
 
     def __init__(
@@ -51,8 +48,8 @@ class ScoredEstimate:
     ) -> None:
         self.y, self.a = truth.z, np.clip(estimate.z, -_HEIGHT_LIMIT, _HEIGHT_LIMIT)
         self.std = None if estimate.z_std is None else np.minimum(estimate.z_std, _HEIGHT_LIMIT)
-        self.ds, self.v, self.bumps, self.bound = truth.ds, v, bumps, bound
-        self.wandering = wandering
+        self.ds, self.v, self.bound = truth.ds, v, bound
+        self.bumps, self.wandering = bumps, wandering
         self._shared: dict[Callable[..., Any], Any] = {}
 
     @property
@@ -93,7 +90,8 @@ class Metric:
     `label` names it in full, `head` at the top of a table column, `help` explains it in a sentence
     or two. Values are printed in `unit`; `better` tells which ones are good. It is a column on
     request of each of `boards`, beside those that list it themselves; `blank` stands for a value
-    that is not defined. Columns that a board derives from scores have no `compute`.
+    that is not defined. Columns that a board derives from scores have no `compute`; `wide` ones are
+    shown on request only.
     """
 
     key: str
@@ -107,6 +105,7 @@ class Metric:
     boards: tuple[str, ...] = ()
     blank: str = UNDEFINED
     compute: Callable[[ScoredEstimate], float] | None = None
+    wide: bool = False
 
     def format_value(self, value: float | None) -> str:
         """Return the value as text; `blank` if it is missing or not finite."""
@@ -125,9 +124,6 @@ class Metric:
         return f"{self.label} [{self.unit}]" if self.unit else self.label
 
 
-_Scores = Callable[[ScoredEstimate], Sequence[float]]
-
-
 def metric(label: str, **form: Any) -> Callable[[Callable[[ScoredEstimate], float]], Metric]:
     """Return a decorator that makes a function a Metric with this format."""
 
@@ -138,10 +134,10 @@ def metric(label: str, **form: Any) -> Callable[[Callable[[ScoredEstimate], floa
     return declare
 
 
-def metrics(*forms: Metric) -> Callable[[_Scores], tuple[Metric, ...]]:
+def metrics(*forms: Metric) -> Callable[[Callable[..., Sequence[float]]], tuple[Metric, ...]]:
     """Return a decorator that makes a function of several scores a Metric for each of `forms`."""
 
-    def declare(function: _Scores) -> tuple[Metric, ...]:
+    def declare(function: Callable[..., Sequence[float]]) -> tuple[Metric, ...]:
         def score(k: int) -> Callable[[ScoredEstimate], float]:
             return lambda scored: scored.shared(function)[k]
 

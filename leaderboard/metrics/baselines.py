@@ -29,21 +29,17 @@ def truth_plus_noise(truth: Profile, band: Band, seed: int) -> Estimate:
     """Return the truth plus Gaussian noise of NOISE_LEVEL times its RMS inside `band`."""
     noise = np.random.default_rng(seed).standard_normal(truth.z.shape)
     # match the RMS inside the band, the part that is scored
-    level = _rms(band_pass(truth.z, truth.ds, band)) / _rms(band_pass(noise, truth.ds, band))
-    return Estimate(truth.s, truth.z + NOISE_LEVEL * level * noise)
+    inside = (band_pass(z, truth.ds, band) for z in (truth.z, noise))
+    true, own = (np.sqrt(np.mean(z**2)) for z in inside)
+    return Estimate(truth.s, truth.z + NOISE_LEVEL * (true / own) * noise)
 
 
 def memory(truths: Sequence[Profile], delays: Sequence[float], stations: np.ndarray) -> Estimate:
-    """Return the mean of training roads at `stations` (M,) [m], each moved back by its delay [m].
-
-    The `truths` are those of the training drives; a road is continued at its last height.
+    """Return the mean of the `truths` of training drives at `stations` (M,) [m], each moved back by
+    its delay [m] and continued at its last height.
     """
     moved = [
         np.stack([np.interp(stations + delay, truth.s, path) for path in truth.z])
         for truth, delay in zip(truths, delays, strict=True)
     ]
     return Estimate(stations, np.mean(moved, axis=0))
-
-
-def _rms(z: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(z**2)))

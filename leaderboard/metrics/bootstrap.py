@@ -25,14 +25,12 @@ from scipy.stats import t
 _REPLICATES = 2000  # of an interval or a rank: its width varies by 1.6 %
 _QUANTILES = (0.5 - 0.95 / 2, 0.5 + 0.95 / 2)  # shares below the ends of an interval of 95 %
 MIN_ROADS = 5  # least number for an interval or a rank: with two, it is their two scores
+# share of a score by which the same program differs on other processors or kernels in half of its
+# runs: ten times the median that was measured (`evaluation.comparison`); nobody leads by less
 REPRODUCIBLE = 5e-3
-"""Share of a score by which the same program differs on other processors or kernels in half of its
-runs: ten times the median that was measured (`evaluation.comparison`). Nobody leads by less.
-"""
-
 MAX_BATCH_SCORES = 2_000_000  # scores held in memory at once while resampling: 16 MB
 Strata = Sequence[Sequence[int]]  # indices of the roads of each stratum (family of roads)
-_Mean = Callable[..., np.ndarray]
+_Mean = Callable[..., np.ndarray]  # of values, an axis and weights, as `interquartile_mean`
 
 
 class Interval(NamedTuple):
@@ -46,10 +44,9 @@ class Interval(NamedTuple):
 def interquartile_mean(
     x: np.ndarray, axis: int = -1, weights: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the mean of the middle half of `x`; values at the quartiles count in part.
-
-    NaNs are ignored; the mean of no values is NaN. Each value counts once, or as often as its
-    `weights` (n,) say, whole numbers for the values along the axis.
+    """Return the mean of the middle half of `x`; values at the quartiles count in part. NaNs are
+    ignored; the mean of no values is NaN. Each value counts once, or as often as its `weights` (n,)
+    say, whole numbers for the values along the axis.
     """
     x = np.moveaxis(x, axis, -1)
     order = np.argsort(x, axis=-1)
@@ -72,14 +69,12 @@ def bootstrap(
     strata: Strata | None = None,
     mean: _Mean = interquartile_mean,
 ) -> np.ndarray:
-    """Return the means (B,) of resamples of `scores` (R, C, S): roads, then seeds; interquartile
-    ones, or what `mean` gives with its `axis` and `weights`.
+    """Return the means (B,) of resamples of `scores` (R, C, S): roads, then seeds.
 
     Roads are resampled within each of `strata`, lists of their indices; there is one by default,
     and where one has a single road with runs, of which nothing could be drawn. The resampled roads
     depend on `seed`, `strata`, B and which roads have runs alone, so entries with one `seed` and
-    runs on the same roads are paired. NaNs mark missing runs and are ignored; a road without runs
-    is not drawn.
+    runs on the same roads are paired. NaNs mark missing runs; a road without runs is not drawn.
     """
     batches = _replicate_scores(scores, seed, replicates, strata)
     return np.concatenate([mean(x, axis=-1, weights=weights) for x, weights in batches])
@@ -100,26 +95,14 @@ class Resampled(NamedTuple):
         return Interval(self.mean, self.mean - half, self.mean + half)
 
     def logarithm(self) -> "Resampled":
-        """Return the logarithms of a mean that is not negative and of its replicates; those below
-        `REPRODUCIBLE` of the mean, such as 0, count as this.
-        """
+        """Return the logarithms of mean and replicates, of `REPRODUCIBLE` of the mean at least."""
         least = max(REPRODUCIBLE * self.mean, np.finfo(float).tiny)
         logs = np.log(np.maximum(self.replicates, least))
         return Resampled(math.log(max(self.mean, least)), logs, self.n_drawn)
 
-    def minus(self, other: "Resampled") -> "Resampled":
-        """Return the paired difference: both were resampled on the same roads and seeds."""
-        return Resampled(
-            self.mean - other.mean,
-            self.replicates - other.replicates,
-            min(self.n_drawn, other.n_drawn),
-        )
-
 
 def _half_width(std: ArrayLike, n_drawn: ArrayLike) -> np.ndarray:
-    """Return half the width of a 95 % interval, from the standard deviation of the replicates and
-    the number of roads drawn in each.
-    """
+    """Return half the width of a 95 % interval, from the `std` of replicates of `n_drawn` roads."""
     return np.asarray(std * t.ppf(_QUANTILES[1], n_drawn))
 
 
@@ -129,9 +112,8 @@ def resample(
     strata: Strata | None = None,
     mean: _Mean = interquartile_mean,
 ) -> Resampled:
-    """Return the sum of the means of `parts`, each (R, C, S), with `weights`; see `bootstrap`.
-
-    All parts have the same roads and seeds in each replicate.
+    """Return the sum of the means of `parts`, each (R, C, S), with `weights`; see `bootstrap`. All
+    have the same roads and seeds in each replicate.
     """
     made = [bootstrap(part, 0, strata=strata, mean=mean) for part in parts]
     means = [float(mean(part.ravel())) for part in parts]
@@ -149,15 +131,10 @@ def iqm_slope(parts: Mapping[int, np.ndarray], strata: Strata | None = None) -> 
 
 
 def performance_profile(
-    scores: np.ndarray,
-    thresholds: np.ndarray,
-    replicates: int = _REPLICATES,
-    strata: Strata | None = None,
+    scores: np.ndarray, thresholds: np.ndarray, strata: Strata | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the shares (T,) of `scores` (R, C, S) at or below each of `thresholds` (T,), and the
-    lower and upper ends (T,) of their bootstrap intervals.
-
-    Lower scores are better. NaN marks a missing run, infinity a run above every threshold.
+    ends (T,) of their bootstrap intervals. NaN: a missing run; infinity: one above every threshold.
     """
 
     def shares(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -165,7 +142,8 @@ def performance_profile(
         with np.errstate(invalid="ignore"):
             return np.stack([(x <= limit) @ weights / count for limit in thresholds], axis=-1)
 
-    parts = [shares(*batch) for batch in _replicate_scores(scores, 0, replicates, strata)]
+    batches = _replicate_scores(scores, 0, 300, strata)  # replicates: enough for a drawn line
+    parts = [shares(*batch) for batch in batches]
     low, high = np.quantile(np.concatenate(parts), _QUANTILES, axis=0)
     return shares(scores.ravel(), np.ones(scores.size)), low, high
 
@@ -203,7 +181,7 @@ def _drawable(scores: np.ndarray, strata: Strata | None) -> list[list[int]]:
     has_runs = ~np.isnan(scores).all(axis=(1, 2))
     has_runs |= not has_runs.any()
     drawable = [[k for k in part if has_runs[k]] for part in strata or [range(len(scores))]]
-    drawable = [part for part in drawable if part]
+    drawable = [*filter(None, drawable)]
     return [np.flatnonzero(has_runs).tolist()] if min(map(len, drawable)) < 2 else drawable
 
 
@@ -213,8 +191,8 @@ def _number_drawn(n: int) -> int:
 
 
 def iqm_interval(scores: np.ndarray, strata: Strata | None = None) -> Interval:
-    """Return the interquartile mean of `scores` (R, C, S) with its 95 % interval, or NaNs; it is
-    one of the logarithm if all replicates are positive.
+    """Return the interquartile mean of `scores` (R, C, S) with its 95 % interval, of its logarithm
+    if all replicates are positive; or NaNs.
     """
     made = resample([scores], strata=strata)
     if not (made.replicates > 0.0).all():
@@ -230,14 +208,13 @@ def count_roads(scores: np.ndarray) -> int:
 
 
 def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None) -> dict[str, int]:
-    """Rank the entries by their `scores` (R, C, S), lower is better; best first.
+    """Rank the entries by their `scores` (R, C, S), lower is better; best first, NaNs last.
 
     They are in the order of their interquartile means, and share the rank of the one before, as in
     1 2 2 2 5, unless more others are significantly better than were of any before. An entry is
     significantly better if the 95 % interval of the paired difference, of the logarithms if no
     score is negative, is beyond `REPRODUCIBLE`, as of two that err alike one is always ahead, by
-    rounding. Roads alone are drawn, each with all its runs: of three seeds, one of luck alone would
-    be drawn too often. A score that is NaN comes last.
+    rounding. Roads alone are drawn, with all runs: one lucky seed of three would be too often.
     """
     made = {name: resample([x.reshape(len(x), -1, 1)], strata=strata) for name, x in scores.items()}
     known = {name: x for name, x in made.items() if np.isfinite(x.replicates).all()}

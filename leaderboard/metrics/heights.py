@@ -32,19 +32,13 @@ from road_envs.records.record import scored_band as scored_band
 from road_envs.records.roughness import Band as Band
 from road_envs.records.roughness import band_pass as band_pass
 
-VERSION = 5
-"""Version of the metrics: raised whenever a score of the same two profiles changes, which makes
-older results stale.
-"""
-
+VERSION = 5  # raised whenever a score of the same two profiles changes: older results are stale
 _LAG_MAX = 0.5  # [m]
 _SEGMENT_LENGTH = 10.0  # [m] Welch segment of the coherence: resolution 0.1 cycles/m
 _NEGLIGIBLE = 1e-9  # an RMS below this share of the truth's is rounding error
 
 
-class _Sides(NamedTuple):
-    """A score of each wheel path, and of both pooled."""
-
+class _Sides(NamedTuple):  # a score of each wheel path, and of both pooled
     left: float
     right: float
     pooled: float
@@ -58,9 +52,7 @@ class Correlation(NamedTuple):
     r_at_lag: float
 
 
-class _Uncertainty(NamedTuple):
-    """CRPS [m], and the shares [-] of errors inside the 50 % and 90 % intervals."""
-
+class _Uncertainty(NamedTuple):  # CRPS [m], shares [-] of errors inside 50 % and 90 % intervals
     crps: float
     coverage_50: float
     coverage_90: float
@@ -72,9 +64,8 @@ def nrmse(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> _Sides:
 
 
 def in_band(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> tuple[np.ndarray, np.ndarray]:
-    """Return truth `y` and estimate `a` (2, M) [m] inside `band`, each (2, K).
-
-    A truth with nothing but rounding error there, of a level road or a slope, is flat.
+    """Return truth `y` and estimate `a` (2, M) [m] inside `band`, each (2, K). A truth with nothing
+    but rounding error there, of a level road or a slope, is flat.
     """
     within, estimated = band_pass(np.stack([y, a]), ds, band)
     is_flat = np.mean(within**2) <= _NEGLIGIBLE**2 * np.mean(y**2)
@@ -87,9 +78,8 @@ def error_over_truth(y: np.ndarray, a: np.ndarray) -> _Sides:
 
 
 def correlation(y: np.ndarray, a: np.ndarray, ds: float) -> Correlation:
-    """Return the correlation of two band-passed profiles (2, K); lags are within +-_LAG_MAX.
-
-    An estimate without content has r = 0 at lag 0.
+    """Return the correlation of two band-passed profiles (2, K); lags are within +-_LAG_MAX. An
+    estimate without content has r = 0 at lag 0.
     """
     inner, shifted = _shifts(y, a, ds)
     reach = shifted.shape[1] // 2
@@ -103,9 +93,8 @@ def correlation(y: np.ndarray, a: np.ndarray, ds: float) -> Correlation:
 
 
 def error_at_best_lag(y: np.ndarray, a: np.ndarray, ds: float) -> float:
-    """Return the least RMS error over RMS truth [-] of `a` shifted within +-_LAG_MAX against `y`.
-
-    Both are band-passed (2, K); the stations that every shift covers count. NaN over a flat truth.
+    """Return the least RMS error over RMS truth [-] of `a` shifted within +-_LAG_MAX against `y`,
+    both band-passed (2, K), at the stations that every shift covers. NaN over a flat truth.
     """
     inner, shifted = _shifts(y, a, ds)
     # mean over both paths and the inner stations, then the least over the lags
@@ -122,9 +111,8 @@ def _shifts(y: np.ndarray, a: np.ndarray, ds: float) -> tuple[np.ndarray, np.nda
 
 
 def coherence(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> float:
-    """Return the mean of gamma2(n) [-] over `band` and paths (Welch, Hann, 10 m, 50 % overlap).
-
-    Two unrelated profiles have 1 / (independent segments), not 0: about 0.1 at 100 m.
+    """Return the mean of gamma2(n) [-] over `band` and paths (Welch, Hann, 10 m, 50 % overlap): of
+    unrelated profiles not 0, but 1 / (independent segments), about 0.1 at 100 m.
     """
     size = min(round(_SEGMENT_LENGTH / ds), y.shape[-1] // 4)
     Y, A = _segments(y, size), _segments(a, size)
@@ -138,32 +126,24 @@ def coherence(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> float:
 
 
 def uncertainty(y: np.ndarray, a: np.ndarray, sigma: np.ndarray) -> _Uncertainty:
-    """Score the standard deviation `sigma` (2, M) [m] against the error of `a` from `y`.
-
-    Both are (2, K), band-passed, K < M: the drift outside the band cannot be observed. With a
-    `sigma` of 0, only an error of 0 lies inside the intervals.
+    """Score the deviation `sigma` (2, M) [m] against the error of `a` from `y`, both (2, K), band-
+    passed, K < M: the drift outside the band cannot be observed. With a `sigma` of 0, only an error
+    of 0 lies inside the intervals.
     """
-    e = a - y
+    e = np.abs(a - y)
     trim = (sigma.shape[-1] - e.shape[-1]) // 2
     sigma = sigma[:, trim : trim + e.shape[-1]]
-    shares = [float(np.mean(np.abs(e) <= ndtri(0.5 + 0.5 * p) * sigma)) for p in (0.5, 0.9)]
-    return _Uncertainty(crps(e, sigma), *shares)
-
-
-def crps(e: np.ndarray, sigma: np.ndarray) -> float:
-    """Return the mean CRPS [m] of normal forecasts with errors `e` and deviations `sigma` [m]."""
-    e = np.abs(e)
+    shares = [float(np.mean(e <= ndtri(0.5 + 0.5 * p) * sigma)) for p in (0.5, 0.9)]
     x = np.divide(e, sigma, out=np.full_like(e, np.inf), where=sigma > 0)
     density = np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi)
     spread = sigma * (2.0 * density - 1.0 / np.sqrt(np.pi))
-    return float(np.mean(e * (2.0 * ndtr(x) - 1.0) + spread))
+    return _Uncertainty(float(np.mean(e * (2.0 * ndtr(x) - 1.0) + spread)), *shares)
 
 
 def level_error(y: np.ndarray, a: np.ndarray) -> _Sides:
-    """Return equation 12 with its sign [-]: the relative excess of the RMS of `a` over that of `y`.
-
-    Heights (2, M) are taken as given, from any datum. The paper prints one number for a drive of
-    two wheel paths and does not say how it was formed; `pooled` takes the RMS over both.
+    """Return equation 12 with its sign [-]: the relative excess of the RMS of `a` over that of `y`,
+    heights (2, M) as given, from any datum. The paper prints one number for two wheel paths and
+    does not say how it was formed; `pooled` takes the RMS over both.
     """
     return _Sides(*(level - 1.0 for level in _ratio(a, y)))
 

@@ -1,16 +1,11 @@
 """The paper's error measure, equation 12 of Ngwangwa et al. (`heights`), which compares levels."""
 
-from typing import Any
-
 from leaderboard.metrics import heights
-from leaderboard.metrics.api import Metric, ScoredEstimate, metrics
+from leaderboard.metrics.api import PERCENT, Metric, ScoredEstimate, metrics
 
 EQ_12_RAW = "level_error_raw"  # key of the paper's equation 12 as printed: raw heights
-
-STATE_LIMITS = (0.15, 0.25)
-"""Equation 12 up to which a training is near-optimal, and sub-optimal (Appendix A of the paper)."""
-
-_FORM: Any = {"unit": "%", "factor": 100.0, "digits": 1}
+STATE_LIMITS = (0.15, 0.25)  # eq. 12 of a near-optimal and a sub-optimal training (Appendix A)
+_FORM = PERCENT | {"digits": 1}
 
 
 @metrics(

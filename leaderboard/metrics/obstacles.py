@@ -28,12 +28,9 @@ class Obstacle(NamedTuple):
     height: float
 
 
-class _ObstacleMatches(NamedTuple):
-    """Obstacles of one wheel path: matched `pairs` (true, estimated), misses, false alarms."""
-
-    pairs: list[tuple[Obstacle, Obstacle]]
-    missed: list[Obstacle]
-    false: list[Obstacle]
+_Pairs = list[tuple[Obstacle, Obstacle]]
+_Matches = tuple[_Pairs, list[Obstacle], list[Obstacle]]
+"""Obstacles of one wheel path: matched pairs (true, estimated), misses, false alarms."""
 
 
 def detect_obstacles(z: np.ndarray, ds: float, threshold: float) -> list[Obstacle]:
@@ -43,11 +40,8 @@ def detect_obstacles(z: np.ndarray, ds: float, threshold: float) -> list[Obstacl
     for sign in (1.0, -1.0):
         beyond = np.flatnonzero(sign * z > threshold)
         sections = np.split(beyond, np.flatnonzero(np.diff(beyond) * ds > MERGE_GAP) + 1)
-        detected += [
-            Obstacle(ds * (i[0] + i[-1]) / 2, sign * float((sign * z[i]).max()))
-            for i in sections
-            if i.size
-        ]
+        for i in filter(len, sections):
+            detected.append(Obstacle(ds * (i[0] + i[-1]) / 2, sign * float((sign * z[i]).max())))
     return sorted(detected)
 
 
@@ -60,32 +54,26 @@ def true_obstacles(y: np.ndarray, ds: float) -> tuple[list[Obstacle], list[Obsta
     return left, right
 
 
-def match_obstacles(
-    y: np.ndarray, a: np.ndarray, ds: float
-) -> tuple[_ObstacleMatches, _ObstacleMatches] | None:
-    """Match the obstacles of estimate `a` with those of truth `y`, both (2, M), by wheel path.
-
-    Returns None if the truth has no obstacle.
+def match_obstacles(y: np.ndarray, a: np.ndarray, ds: float) -> list[_Matches]:
+    """Match the obstacles of estimate `a` with those of truth `y`, both (2, M), by wheel path; an
+    empty list if the truth has none.
     """
     heights = [abs(obstacle.height) for path in true_obstacles(y, ds) for obstacle in path]
     if not heights:
-        return None
-    threshold = min(heights) / 2
-    left, right = (
-        _match(*(detect_obstacles(z[k], ds, threshold) for z in (y, a))) for k in range(2)
-    )
-    return left, right
+        return []
+    least, paths = min(heights) / 2, zip(y, a, strict=True)
+    return [_match(*(detect_obstacles(z, ds, least) for z in path)) for path in paths]
 
 
-def _match(true: list[Obstacle], detected: list[Obstacle]) -> _ObstacleMatches:
+def _match(true: list[Obstacle], detected: list[Obstacle]) -> _Matches:
     """Match the obstacles of a wheel path, nearest first, each in one pair."""
-    pairs: list[tuple[Obstacle, Obstacle]] = []
+    pairs: _Pairs = []
     for t, f in sorted(product(true, detected), key=lambda pair: abs(pair[0].s - pair[1].s)):
         if _is_match(t, f) and not any(t is t_ or f is f_ for t_, f_ in pairs):
             pairs.append((t, f))
     missed = [obstacle for obstacle in true if all(obstacle is not t for t, _ in pairs)]
     false = [obstacle for obstacle in detected if all(obstacle is not f for _, f in pairs)]
-    return _ObstacleMatches(pairs, missed, false)
+    return pairs, missed, false
 
 
 def _is_match(a: Obstacle, b: Obstacle) -> bool:
@@ -110,12 +98,12 @@ def _is_match(a: Obstacle, b: Obstacle) -> bool:
            help="Number of detected obstacles that only the other wheel path has."),
 )  # fmt: skip
 def _obstacles(scored: ScoredEstimate) -> tuple[float, ...]:
-    paths = match_obstacles(scored.y, scored.a, scored.ds) if scored.bumps else None
-    if paths is None:
+    paths = match_obstacles(scored.y, scored.a, scored.ds) if scored.bumps else []
+    if not paths:
         return (np.nan,) * 7
-    pairs = [pair for path in paths for pair in path.pairs]
-    true = [[*path.missed, *(t for t, _ in path.pairs)] for path in paths]
-    detected = [[*path.false, *(f for _, f in path.pairs)] for path in paths]
+    pairs = [pair for matched, _, _ in paths for pair in matched]
+    true = [[*missed, *(t for t, _ in matched)] for matched, missed, _ in paths]
+    detected = [[*false, *(f for _, f in matched)] for matched, _, false in paths]
     wrong_side = sum(
         any(_is_match(obstacle, other) for other in true[1 - side])
         and not any(_is_match(obstacle, own) for own in true[side])

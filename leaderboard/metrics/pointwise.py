@@ -1,7 +1,4 @@
-"""Errors at each station inside the scored band: NRMSE, correlation, lag, coherence, uncertainty.
-
-`heights` has the definitions.
-"""
+"""Errors at each station, as `heights` defines them: NRMSE, correlation, coherence, uncertainty."""
 
 import numpy as np
 

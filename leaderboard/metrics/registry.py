@@ -3,8 +3,7 @@
 from leaderboard.metrics import agreement, level, obstacles, pointwise, roughness
 from leaderboard.metrics.api import Metric, ScoredEstimate
 
-MODULES = (pointwise, level, roughness, agreement, obstacles)
-"""Modules of metrics, in the order of the table of scores."""
+MODULES = (pointwise, level, roughness, agreement, obstacles)  # in the order of the table of scores
 
 
 def _declared(module: object) -> list[Metric]:
@@ -14,20 +13,17 @@ def _declared(module: object) -> list[Metric]:
 
 SCORES = {metric.key: metric for module in MODULES for metric in _declared(module)}
 
-PRINTED_SCORES = (
+PRINTED_SCORES = (  # of one estimate; there are three times as many
     "nrmse", "nrmse_left", "nrmse_right", "nrmse_at_lag", "nrmse_aligned", "lag", "r", "coherence",
     "level_error", "level_error_raw", "G_d0_bias_db", "class_exact", "fitted_class",
     "dsd_distance_db", "iri_error", "iri_bias", "iri_cross_correlation", "bump_recall",
     "bump_precision", "coverage_50", "coverage_90", "coverage_90_aligned",
 )  # fmt: skip
-"""Scores that are printed of one estimate; there are three times as many."""
 
 
 def compute_scores(scored: ScoredEstimate) -> dict[str, float]:
-    """Return all SCORES of an estimate; NaN where one is not defined.
-
-    Obstacle scores are defined if obstacles are scored and the truth has some, uncertainty scores
-    if the estimate has a standard deviation, errors relative to the truth unless it is flat, errors
-    after local alignment if the positions wander.
+    """Return all SCORES of an estimate, NaN where one is not defined: of obstacles unless they are
+    scored and the truth has some, of uncertainty without a standard deviation, relative to a flat
+    truth, and after local alignment unless the positions wander.
     """
     return {key: float(x.compute(scored)) for key, x in SCORES.items() if x.compute is not None}

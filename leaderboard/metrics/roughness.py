@@ -21,11 +21,7 @@ from road_envs.records.roughness import (
     smooth_psd,
 )
 
-THIRD_OCTAVES = 2.0 ** (np.arange(-9, 6) / 3.0)
-"""Centres [cycles/m] of the third octaves of the error spectrum: 0.125 to 3.17."""
-
-_MAX_RATIO_DB = 60.0  # [dB]
-_IRI_SEGMENT_LENGTH = 100.0  # [m] of the segments of an IRI, about
+THIRD_OCTAVES = 2.0 ** (np.arange(-9, 6) / 3.0)  # their centres [cycles/m], from 0.125 to 3.17
 _OCTAVE_CENTRES = (0.25, 0.5, 1.0, 2.0)  # [cycles/m] octaves in which classes are compared
 
 
@@ -47,8 +43,17 @@ def _density_ratio(scored: ScoredEstimate) -> tuple[float, ...]:
 
 
 def _class_steps(scored: ScoredEstimate) -> np.ndarray:
+    """Return estimated minus true ISO class (2, octaves), in classes; 0 where it is right. Covers
+    the octaves that the 25 Hz low-pass at the speed leaves whole; perhaps none.
+    """
     n, (G_y, G_a, _) = scored.densities
-    return _class_differences(n, G_y, G_a, scored.v)
+    whole = [n_c for n_c in _OCTAVE_CENTRES if n_c * np.sqrt(2.0) <= SCORED_F_MAX / scored.v]
+    if not whole:
+        return np.zeros((2, 0), dtype=int)
+    levels = np.stack([octave_levels(n, G, (whole[0], whole[-1]))[1] for G in (G_y, G_a)])
+    index = np.vectorize(lambda G_d0: [*CLASSES].index(roughness_class(G_d0)), otypes=[int])
+    true, estimated = index(levels)
+    return estimated - true
 
 
 @metrics(
@@ -90,7 +95,7 @@ def _fitted_line(scored: ScoredEstimate) -> tuple[float, ...]:
 )  # fmt: skip
 def _iri_errors(scored: ScoredEstimate) -> tuple[float, ...]:
     motion = 1e3 * np.abs(golden_car(np.stack([scored.y, scored.a]), scored.ds))  # m/m to mm/m
-    count = max(1, round(scored.y.shape[-1] * scored.ds / _IRI_SEGMENT_LENGTH))
+    count = max(1, round(scored.y.shape[-1] * scored.ds / 100.0))  # segments of about 100 m
     parts = [part.mean(axis=-1) for part in np.array_split(motion, count, axis=-1)]
     true, estimated = np.transpose(parts, (1, 2, 0))
     error = float(np.mean(np.abs(estimated - true)))
@@ -115,29 +120,10 @@ def _class_by_octave(scored: ScoredEstimate) -> list[float]:
 ))  # fmt: skip
 def _error_by_third_octave(scored: ScoredEstimate) -> list[float]:
     n, (G_y, _, G_e) = scored.densities
-    return _third_octave_errors(n, G_y, G_e)
-
-
-def _third_octave_errors(n: np.ndarray, G_y: np.ndarray, G_e: np.ndarray) -> list[float]:
-    """Return the NRMSE [-] in each of THIRD_OCTAVES, of both wheel paths together."""
     limits = THIRD_OCTAVES * 2.0 ** (-1 / 6), THIRD_OCTAVES * 2.0 ** (1 / 6)
     true, wrong = (band_means(n, G.sum(axis=0), *limits) for G in (G_y, G_e))
     ratio = np.divide(wrong, true, out=np.full_like(true, np.nan), where=true > 0)
     return np.sqrt(ratio).tolist()
-
-
-def _class_differences(n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, v: float) -> np.ndarray:
-    """Return estimated minus true ISO class (2, octaves), in classes; 0 where it is right.
-
-    Covers the octaves that the 25 Hz low-pass at `v` [m/s] leaves whole; perhaps none.
-    """
-    whole = [n_c for n_c in _OCTAVE_CENTRES if n_c * np.sqrt(2.0) <= SCORED_F_MAX / v]
-    if not whole:
-        return np.zeros((2, 0), dtype=int)
-    levels = np.stack([octave_levels(n, G, (whole[0], whole[-1]))[1] for G in (G_y, G_a)])
-    index = np.vectorize(lambda G_d0: [*CLASSES].index(roughness_class(G_d0)), otypes=[int])
-    true, estimated = index(levels)
-    return estimated - true
 
 
 def _fitted_G_d0(n: np.ndarray, G: np.ndarray, band: Band) -> float:
@@ -150,7 +136,7 @@ def _fitted_G_d0(n: np.ndarray, G: np.ndarray, band: Band) -> float:
 def _decibels(a: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return 10 log10(a / y), clipped to +-60 dB; NaN where both are 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.clip(10.0 * np.log10(a / y), -_MAX_RATIO_DB, _MAX_RATIO_DB)
+        return np.clip(10.0 * np.log10(a / y), -60.0, 60.0)
 
 
 def _share(hits: np.ndarray) -> float:

@@ -2,18 +2,16 @@
 
 A stratified beam search over all sixteen pairs of states keeps, for each pair commanded last, the
 drives with the best score so far: a history that pays later is not lost to others of another pair.
-Sweeps then go on from the best of the beam and of every policy of the comparison. A sweep drives
-through a plan. At each choice every pair, held for several times, replaces the plan there; the best
-over a horizon, after which the plan goes on as it was, becomes the plan. Only the best trials go on
-to the end of the horizon, which is two periods of the body: over a shorter one a choice gains now
-what it pays later.
+Sweeps then go on from the best of the beam and of every policy of the comparison. At each choice
+every pair, held for several times, replaces the plan there; the best over a horizon, after which
+the plan goes on as it was, becomes the plan. Only the best trials go on to the end of the horizon,
+which is two periods of the body: over a shorter one a choice gains now what it pays later.
 
 Most of a drive's price, and nearly all of what two searches differ by, is in its severe manoeuvre.
 So every sweep of a whole drive is followed by some of its dearest window, which are annealed: the
-costs of the trials are raised by random shares, which fall from _HEAT to none. The best plan of a
-whole drive is kept, so the result is at least as good as every policy that it starts from. It
-knows the road ahead and is no attainable policy; a longer search may find more, and how much two
-searches differ by tells how much that may be.
+costs of the trials are raised by random shares, which fall from _HEAT to none. The best plan is
+kept, so the result is at least as good as every policy that it starts from. It knows the road ahead
+and is no attainable policy; how much two searches differ by tells what a longer one may find.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,18 +26,13 @@ from road_envs.kernels.simd import LANES
 from road_envs.policies.rollout import VIOLATION_PRICE, Drives, Rollout, replay
 
 _HOLD_TIME = 0.2  # time [s] between choices of the beam
-
 _SWEEP_TIME, _HORIZON = 0.1, 2.4  # [s] between choices of a sweep, and over which they are compared
 _LONGEST_SECTION = 1.2  # longest time [s] of a choice; times are uniform in their logarithm
 _SECTIONS = 3  # times for which each pair is tried at each choice
-
 _TRIAL_TIME, _FINALISTS = 0.4, LANES  # time [s] after which only so many trials go on
-_WINDOW, _WINDOW_SWEEPS = 5.5, 5
-"""Length [s] of the dearest window, and its sweeps after each one of the whole drive."""
-
+_WINDOW, _WINDOW_SWEEPS = 5.5, 5  # [s] of the dearest window, and its sweeps after each whole one
 _HEAT, _COOLING = 0.02, 0.7  # mean rise of the costs of trials at first; share of sweeps until none
 SWEEPS = 6  # sweeps of the whole drive by default
-
 Progress = Callable[[str, float], None]
 
 
@@ -51,10 +44,8 @@ def search(
     sweeps: int = SWEEPS,
     progress: Progress = lambda text, share: None,
 ) -> tuple[Rollout, np.ndarray]:
-    """Return the best drives found from any of S `seeds`, and the scores (S, N) from each.
-
-    `rows` are actions (T, N) of policies on these drives. The score is that of `Rollout`:
-    violations have their price. Seeds are searched in `drives.threads` at once.
+    """Return the best drives found from any of S `seeds`, `drives.threads` at once, and the scores
+    (S, N) from each, those of `Rollout`. `rows` are actions (T, N) of policies on these drives.
     """
     n, T = len(drives), max(len(row) for row in rows)
     candidates = [np.concatenate([row, np.repeat(row[-1:], T - len(row), axis=0)]) for row in rows]
@@ -101,8 +92,7 @@ def _climb(drives: Drives, i: int, best: np.ndarray, sweeps: int, rng: np.random
             if part == 0:
                 _sweep(drives, i, plan, rng)
             else:
-                sums = np.convolve(prices, np.ones(length), "valid")
-                first = int(sums.argmax())
+                first = int(np.convolve(prices, np.ones(length), "valid").argmax())
                 _sweep(drives, i, plan, rng, first, first + length, heat)
             prices = _prices(drives, i, plan)
             if prices.sum() < least:
@@ -191,6 +181,5 @@ def _started(drives: Drives, i: int, size: int) -> InstrumentedFleet:
 
 def _price(output: StepOutput, fleet: InstrumentedFleet) -> np.ndarray:
     """Return the price (N,) [m²/s³] of an interval for all vehicles."""
-    columns = [fleet.columns.index("comfort"), fleet.columns.index("cost")]
-    comfort, cost = output.values[:, columns].T
+    comfort, cost = (output.values[:, fleet.columns.index(x)] for x in ("comfort", "cost"))
     return np.where(output.failed, np.inf, comfort + VIOLATION_PRICE * cost)

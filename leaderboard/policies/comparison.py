@@ -29,14 +29,11 @@ from road_envs.policies.rollout import Drives, Rollout, drive_all
 BEST_FOUND = "best found"  # name of the row of `best_found.search`
 REFERENCE = "rrms"  # policy that differences refer to by default
 PUBLIC_DRIVES = 8  # number of public drives; each is driven to both sides
-
 _SHORTEST_SEAL = 16  # characters: a policy can draw the drives of a thousand texts in a second
-
-_SEARCH_SEEDS = (1, 2)
-
+_round = partial(rounded, digits=5)  # more is noise, and people read the file
 TIE = 0.01  # difference of scores [m²/s⁴] within which two policies are even on a drive
 
-GROUPS: Mapping[str, tuple[str, str]] = {
+GROUPS: Mapping[str, tuple[str, str]] = {  # of drives: a field of `SafeDrive`, and its value
     "known": ("group", "known"),
     "unseen": ("group", "unseen"),
     "left": ("side", "left"),
@@ -44,16 +41,12 @@ GROUPS: Mapping[str, tuple[str, str]] = {
     **{grade: ("grade", grade) for grade in ("S0", "S1", "S2", "S3")},
     **{kind.replace("_", " "): ("severe", kind) for kind in ("lane_change", "j_turn", "fishhook")},
 }
-"""Groups of drives by name: a field of `SafeDrive`, and its value; a row has the score of each."""
 
 
 def members(drives: Drives, group: str) -> np.ndarray:
     """Return which drives (N,) belong to one of GROUPS."""
     field, value = GROUPS[group]
     return np.array([getattr(start.description, field) == value for start in drives.starts])
-
-
-_round = partial(rounded, digits=5)  # more is noise, and people read the file
 
 
 @dataclass(frozen=True)
@@ -66,10 +59,7 @@ class Comparison:
 
 
 def public_drives(number: int = PUBLIC_DRIVES, seal: str | None = None) -> Drives:
-    """Return the public drives, or the sealed ones: both groups in turn, each to both sides.
-
-    Raises ConfigError for a short `seal`.
-    """
+    """Return the public or sealed drives, each to both sides. Raises ConfigError (short `seal`)."""
     if seal is not None and len(seal) < _SHORTEST_SEAL:
         raise ConfigError(
             f"the seal must have at least {_SHORTEST_SEAL} characters, got {len(seal)}: a policy "
@@ -88,35 +78,31 @@ def compare(
     sweeps: int = best_found.SWEEPS,
     progress: Progress = lambda text, share: None,
 ) -> Comparison:
-    """Compare all policies and the best switching found.
-
-    A policy that raises an error is a row with its failure. Without `sweeps` nothing is searched.
-    Raises ConfigError if the reference is not among the policies.
+    """Compare all policies, of which one that raises an error is a row with its failure, and, if
+    there are `sweeps`, the best switching found. Raises ConfigError for an unknown reference.
     """
     validate_choice("reference", reference, list(policies))
-    rollouts: dict[str, Rollout] = {}
-    failures: dict[str, str] = {}
+    rollouts, failures = dict[str, Rollout](), list[dict[str, str]]()
     searches: list[list[float]] = []
     for k, (name, policy) in enumerate(policies.items()):
         progress(name, 0.3 * k / len(policies))
         try:
             rollouts[name] = drive_all(policy, drives)
         except Exception as error:  # a failing policy must not stop the comparison
-            failures[name] = describe_error(error)
+            failures.append({"policy": name, "failure": describe_error(error)})
         finally:
             if isinstance(policy, PolicyProcess):
                 policy.close()  # nothing of it may run beside the next one
     if sweeps and rollouts:
         rows = [rollout.actions for rollout in rollouts.values()]
         rollouts[BEST_FOUND], searched = best_found.search(
-            drives, rows, _SEARCH_SEEDS, sweeps=sweeps,
+            drives, rows, seeds=(1, 2), sweeps=sweeps,
             progress=lambda text, share: progress(f"best found: {text}", 0.3 + 0.7 * share),
         )  # fmt: skip
         searches = [[_round(x) for x in scores] for scores in searched]
     base = rollouts.get(reference)
-    rows_of_table = [_row(name, r, base, drives) for name, r in rollouts.items()]
-    rows_of_table.sort(key=lambda row: -row["score"]["mean"])
-    rows_of_table += [{"policy": name, "failure": text} for name, text in failures.items()]
+    driven = [_row(name, r, base, drives) for name, r in rollouts.items()]
+    driven.sort(key=lambda row: -row["score"]["mean"])
     progress("done", 1.0)
     setup: Any = drives.setup
     data = {
@@ -124,7 +110,7 @@ def compare(
         "split": setup.safe.split,
         "drives": [_label(start.description) for start in drives.starts],
         "reference": reference,
-        "rows": rows_of_table,
+        "rows": driven + failures,
         "searches": searches,
     }
     return Comparison(data, drives, rollouts)
@@ -132,10 +118,9 @@ def compare(
 
 def _label(drive: SafeDrive) -> str:
     """Return a description such as "j turn to the left, class C then D, 47 km/h, S1, known"."""
-    kind = drive.severe.replace("_", " ")
     return (
-        f"{kind} to the {drive.side}, class {drive.road} then {drive.road_after}, "
-        f"{drive.speed_kmh:.0f} km/h, {drive.grade}, {drive.group}"
+        f"{drive.severe.replace('_', ' ')} to the {drive.side}, class {drive.road} then "
+        f"{drive.road_after}, {drive.speed_kmh:.0f} km/h, {drive.grade}, {drive.group}"
     )
 
 
@@ -151,9 +136,7 @@ def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> d
         "comfort": interval(rollout.comfort, groups["known"]),
         "violations": float(violated.mean()),
         "worst": _round(score.min()),
-        **{
-            key: _round(totals[key].mean()) for key in ("cost", "stop", "lift_off", "load_transfer")
-        },
+        **{x: _round(totals[x].mean()) for x in ("cost", "stop", "lift_off", "load_transfer")},
         "roll": _round(np.degrees(totals["roll"]).max()),
         "tyre_load": _round(np.sqrt(totals["tyre_load"] / rollout.duration).mean()),
         "switches": _round((switched.sum(axis=0) / rollout.duration).mean()),
@@ -176,10 +159,8 @@ def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> d
 def interval(
     x: np.ndarray, families: np.ndarray | None = None, mirrored: bool = True
 ) -> dict[str, float]:
-    """Return the mean of `x` (N,) or (S, N), and its 95 % interval over S seeds and N drives.
-
-    Drives are drawn in pairs if they are `mirrored`, and within each of their `families` (N,). Of
-    fewer than MIN_ROADS drives or pairs the interval is NaN.
+    """Return the mean of `x` (N,) or (S, N), and its 95 % interval over S seeds and N drives, drawn
+    within `families` (N,), in pairs if `mirrored`; NaN of fewer than MIN_ROADS drives or pairs.
     """
     pairs = np.atleast_2d(x)
     pairs = pairs.reshape(len(pairs), -1, 1 + mirrored).mean(axis=2).T[:, None, :]
@@ -206,18 +187,16 @@ def table_lines(data: Mapping[str, Any]) -> list[str]:
         f"{'policy':20s} score   95 %             comfort viol.  left right unseen    S3  worst  "
         f"load tr. roll  +/=/- {data['reference']}",
     ]
+    shown = ("left", "right", "unseen", "S3")
     for row in data["rows"]:
         if row["failure"]:
             lines.append(f"{row['policy']} failed: {row['failure']}")
             continue
         g, s = row["groups"], row["score"]
-        left, right, unseen, s3 = (
-            f"{g[name]['score']:6.2f}" if name in g else "   n/a"
-            for name in ("left", "right", "unseen", "S3")
-        )
+        parts = [f"{g[x]['score']:6.2f}" if x in g else "   n/a" for x in shown]
         lines.append(
             f"{row['policy']:20s} {s['mean']:6.3f} {interval_text(s):>17s} "
-            f"{row['comfort']['mean']:6.3f} {row['violations']:5.0%} {left} {right} {unseen} {s3} "
+            f"{row['comfort']['mean']:6.3f} {row['violations']:5.0%} {' '.join(parts)} "
             f"{row['worst']:6.2f} {row['load_transfer']:5.2f} {row['roll']:6.1f}  "
             + (f"{row['wins']}/{row['ties']}/{row['losses']}" if "wins" in row else "")
         )

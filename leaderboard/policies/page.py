@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from leaderboard.policies.comparison import BEST_FOUND, GROUPS, Comparison, interval_text
@@ -13,17 +12,11 @@ from road_envs.core.atomic_io import write_text
 
 _SHOWN_DRIVE = 0  # number of the drive that is shown over time
 
-_SHOWN_POLICIES = 8  # of charts: the best of the table, and the reference
-
 
 def timelines(comparison: Comparison) -> dict[str, Timeline]:
     """Return the shown drive under each of the shown policies."""
-    return {
-        name: Timeline.from_drive(
-            comparison.drives, _SHOWN_DRIVE, comparison.rollouts[name].actions
-        )
-        for name in _shown_policies(comparison.data)
-    }
+    shown = {name: comparison.rollouts[name].actions for name in _shown_policies(comparison.data)}
+    return {k: Timeline.from_drive(comparison.drives, _SHOWN_DRIVE, x) for k, x in shown.items()}
 
 
 def write_page(data: Mapping[str, Any], lines: Mapping[str, Timeline], out: Path) -> Path:
@@ -35,9 +28,7 @@ def write_page(data: Mapping[str, Any], lines: Mapping[str, Timeline], out: Path
 
 
 def _render_page(
-    data: Mapping[str, Any],
-    lines: Mapping[str, Timeline] = MappingProxyType({}),
-    board: bool = False,
+    data: Mapping[str, Any], lines: Mapping[str, Timeline] | None = None, board: bool = False
 ) -> str:
     """Render the page of a comparison; it links to the leaderboard if there is a `board`."""
     present = [group for group in GROUPS if any(group in r.get("groups", {}) for r in data["rows"])]
@@ -57,9 +48,9 @@ def _render_page(
 
 
 def _shown_policies(data: Mapping[str, Any]) -> list[str]:
-    """Return the policies that charts show: the best rows, and the reference."""
+    """Return the policies that charts show: the eight best rows, and the reference."""
     names = [row["policy"] for row in data["rows"] if not row["failure"]]
-    return [n for k, n in enumerate(names) if k < _SHOWN_POLICIES or n == data["reference"]]
+    return [n for k, n in enumerate(names) if k < 8 or n == data["reference"]]
 
 
 def _score_chart(data: Mapping[str, Any]) -> Chart:

@@ -38,32 +38,24 @@ OPTIONS: Mapping[str, Any] = {
     "manoeuvre": {"kind": "lane_change", "offset": 2.0},
     "observe": ["accelerations", "planar", "struts"],
 }
+_Verdict = tuple[bool | None, str]  # whether a check is passed, and a sentence
 SEEDS = range(4)  # seeds of the roads, one for each vehicle
-
-_REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")
-"""Errors by which a policy may refuse an action space or an observation on purpose."""
-
-_LONGEST_DRIVE = 30.0  # [s] of a comparison, for which the run time is predicted
+_REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")  # on purpose
 
 
 def check_policy(
     reference: str, settings: Mapping[str, Any] | None = None, limits: Limits = POLICY_LIMITS
 ) -> list[CheckResult]:
-    """Run all checks of the policy `reference`, as `make_policy` takes it.
-
-    Stops after the first check of a policy that does not run.
-    """
+    """Run all checks of a policy, by its reference for `make_policy`; "runs" alone if it fails."""
     with PolicyProcess(reference, settings, limits) as policy:
         try:
             first = roll_out(policy, dict(OPTIONS), SEEDS)
         except (PolicyError, ConfigError) as error:
             return [CheckResult("runs", False, str(error))]
         seconds = list(policy.act_seconds)
-        ride, handling = (
-            roll_out(create(name), dict(OPTIONS), SEEDS).returns.mean()
-            for name in ("fixed_ride", "fixed_handling")
-        )
-        spaces = {control: _short(policy, control=control) for control in ("vehicle", "axle")}
+        fixed = (create(name) for name in ("fixed_ride", "fixed_handling"))
+        ride, handling = (roll_out(x, dict(OPTIONS), SEEDS).returns.mean() for x in fixed)
+        spaces = {x: _short(policy, control=x) for x in ("vehicle", "axle")}
         fewer = {"accelerations alone": _short(policy, observe=["accelerations"])}
         ran = (
             f"{len(SEEDS)} lane changes on class D, in a process of its own: return "
@@ -84,9 +76,6 @@ def check_policy(
             _attempt("sensors", lambda: _damaged_sensors(policy, first.observations), policy),
         ]
         return [*results, *_costs(limits, seconds, policy.peak_memory)]
-
-
-_Verdict = tuple[bool | None, str]
 
 
 def _attempt(name: str, check: Callable[[], _Verdict], policy: PolicyProcess) -> CheckResult:
@@ -149,12 +138,10 @@ def _damaged_sensors(policy: PolicyProcess, observations: np.ndarray) -> _Verdic
 
 
 def _costs(limits: Limits, seconds: Sequence[float], memory: float) -> list[CheckResult]:
-    """Check time and memory against the limits of a comparison.
-
-    `seconds` are those of each call with the vehicles of SEEDS; the longest call, which may prepare
-    tables, counts once.
+    """Check memory, and the `seconds` of each call with the vehicles of SEEDS, against the limits
+    of a comparison; the longest call, which may prepare tables, counts once.
     """
-    calls = SafeOptions().control_rate * _LONGEST_DRIVE
+    calls = SafeOptions().control_rate * 30.0  # [s] of the longest drive of a comparison
     once = max(seconds)
     per_call = (sum(seconds) - once) / max(len(seconds) - 1, 1)
     predicted = once + per_call * calls * 2 * PUBLIC_DRIVES / len(SEEDS)

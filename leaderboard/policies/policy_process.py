@@ -27,18 +27,12 @@ from road_envs.core.config import ConfigError
 from road_envs.policies import FILE_SUFFIXES, entry_point, runs_foreign_code
 from road_envs.policies.api import PolicyContext, PolicyError
 
-_STARTUP_SECONDS = 60.0  # time [s] in which the process must have loaded the policy
-_LONGEST_COMPARISON = 1e5  # time [s] of all its cases, after which the kernel ends a process
-
 POLICY_LIMITS = Limits(seconds=120.0, memory=2.0, isolation="process")
-"""Limits of a policy: the time is that for all vehicles of a case. Only code from outside this
-package is run with the isolation "bubblewrap".
-"""
+"""The time is that for all vehicles of a case. Only code from outside is run in "bubblewrap"."""
 
 
 class PolicyProcess:
     """The policy `reference`, as `make_policy` takes it; a context manager, used like any policy.
-
     A process that has ended or exceeded a limit is replaced by a new one at the next `reset`; a
     policy that has raised an error is made anew in its process. Raises PolicyError, and ConfigError
     for an installed name that is none of a row.
@@ -61,8 +55,7 @@ class PolicyProcess:
             )
         # its process has another working folder
         self.reference = str(Path(reference).absolute()) if is_file else reference
-        self.settings = dict(settings or {})
-        self.limits = limits
+        self.settings, self.limits = dict(settings or {}), limits
         self.act_seconds: list[float] = []  # of each call
         self.peak_memory, self._n_vehicles, self._count = 0.0, 0, 0
         self._guest: Guest | None = None
@@ -102,13 +95,12 @@ class PolicyProcess:
             self._forget_others()
         self._count += 1
         home, module = self._temp.path / str(self._count), policy_handler.__name__
-        limits = replace(self.limits, seconds=_LONGEST_COMPARISON)
+        limits = replace(self.limits, seconds=1e5)  # of all cases: the kernel ends the process
         return start_guest(module, home, limits, isolated=isolated, code=code)
 
     def _code(self, folder: Path) -> Path | None:
-        """Return `folder` with a copy of the code, which is not imported here.
-
-        None for a policy of this package. Raises EntryError, and ConfigError for an unknown name.
+        """Return `folder` with a copy of the code, which is not imported here, None for a policy of
+        this package. Raises EntryError, and ConfigError for an unknown name.
         """
         if not runs_foreign_code(self.reference):
             return None
@@ -120,10 +112,7 @@ class PolicyProcess:
         return folder
 
     def _forget_others(self) -> None:
-        """Let the policy before, if it is another one, tell this one nothing of the drives.
-
-        Before the first guest of a command came those of commands before, with the same seal.
-        """
+        """Let no other policy, nor one of commands before, tell this one anything of the drives."""
         reference, pipes = PolicyProcess.last_guest or ("", bubblewrap.count_pipes())
         if reference != self.reference:
             pipes = bubblewrap.forget_guests(pipes)
@@ -143,7 +132,7 @@ class PolicyProcess:
             if self._guest is None:
                 self._guest = self._start()
             if task == "reset":
-                self._guest.start_run(replace(self.limits, seconds=_STARTUP_SECONDS))
+                self._guest.start_run(replace(self.limits, seconds=60.0))  # to load the policy
             named = {"reference": self.reference, "settings": self.settings}
             request = messages.encode({"do": task, **(named if task == "reset" else {})}, [data])
             head, actions = self._guest.call(request, size_of_actions)

@@ -11,8 +11,6 @@ from road_envs.simulation.drive import Trajectory
 from road_envs.vehicle.equations import PHI, Z_B
 from road_envs.vehicle.suspension import MODES, WHEELS, decode_commands
 
-_POINTS_PER_SECOND = 50.0  # sample rate [Hz] of the drawn curves
-
 MODE_NAMES = tuple(MODES)
 _MODE_COLOURS = {  # ride mode is drawn as a gap
     "handling": "var(--line-0)",
@@ -24,7 +22,6 @@ _LOAD_COLOURS = (INK, "var(--line-1)", "var(--line-2)", "var(--line-3)")  # of W
 
 class Timeline(NamedTuple):
     """Signals of a drive at times `t` (T,) [s].
-
     `loads` (4, T) [N] of the tyres FL, FR, RL, RR; `states` (2, T): index into MODE_NAMES of the
     commanded state of front and rear; heave `acceleration` (T,) [m/s²]; `roll` (T,) [rad].
     """
@@ -37,7 +34,7 @@ class Timeline(NamedTuple):
 
     @classmethod
     def from_drive(cls, drives: Drives, i: int, actions: np.ndarray) -> "Timeline":
-        """Return drive number `i` under `actions` (T, N), sampled at _POINTS_PER_SECOND."""
+        """Return drive number `i` under `actions` (T, N), sampled at 50 Hz or so."""
         setup, start = drives.setup, drives.starts[i]
         fleet = setup.make_fleet(keep_signals=True)
         fleet.start(0, start.drive, start.logger, start.speed_kmh)
@@ -47,11 +44,10 @@ class Timeline(NamedTuple):
             parts.append(fleet.last_interval(0, int(byte)))
             if ended:
                 break
-        sampled = slice(None, None, max(1, round(1.0 / (_POINTS_PER_SECOND * fleet.step))))
+        sampled = slice(None, None, max(1, round(1.0 / (50.0 * fleet.step))))
         names = ("t", "s", "v", "commands", "signals")
-        motion = Trajectory(
-            *(np.concatenate([getattr(part, name) for part in parts])[sampled] for name in names)
-        )
+        columns = (np.concatenate([getattr(x, name) for x in parts])[sampled] for name in names)
+        motion = Trajectory(*columns)
         stiff, high = decode_commands(motion.commands)
         flags = list(MODES.values())
         states = [
@@ -68,22 +64,16 @@ class Timeline(NamedTuple):
 
 def drive_chart(timelines: Mapping[str, Timeline]) -> Chart:
     """Return a chart with a figure for each policy; all have the same axes."""
-    limits = [
-        max(float(np.abs(values).max()) for values in group)
-        for group in zip(*(line.curves() for line in timelines.values()), strict=True)
-    ]
+    signals = zip(*(line.curves() for line in timelines.values()), strict=True)
+    limits = (max(float(np.abs(x).max()) for x in each) for each in signals)
     load, heave, roll = (rounded(1.05 * limit, 3) for limit in limits)
     seconds = max(float(line.t[-1] - line.t[0]) for line in timelines.values())
     time = axis("time [s]", 0.0, rounded(seconds, 4), anchor="y4")
     layout = {"height": 480, "barmode": "overlay", "xaxis": time}
-    strips: dict[str, Any] = {
-        "type": "category",
-        "categoryorder": "array",
-        "categoryarray": ("rear", "front"),
-    }
+    order: Any = {"categoryorder": "array", "categoryarray": ("rear", "front")}
     axes = {  # from above, each with its share of the height
         "yaxis": (axis("tyre load [kN]", 0.0, load), (0.80, 1.0)),
-        "yaxis2": (axis("", **strips, range=[-0.5, 1.5]), (0.58, 0.72)),
+        "yaxis2": (axis("", type="category", **order, range=[-0.5, 1.5]), (0.58, 0.72)),
         "yaxis3": (axis("heave [m/s²]", -heave, heave), (0.27, 0.50)),
         "yaxis4": (axis("roll [deg]", -roll, roll), (0.0, 0.19)),
     }

@@ -16,8 +16,6 @@ from road_envs.core.atomic_io import atomic_write
 from road_envs.core.config import ConfigError
 from road_envs.core.extras import optional_import
 
-_EDGE_TOLERANCE = 40  # largest error, of 255, of an edge pixel kept from the last frame of a GIF
-
 
 def animate(
     env_options: Mapping[str, Any],
@@ -25,10 +23,8 @@ def animate(
     path: Path,
     progress: Callable[[str, float], None] = lambda text, share: None,
 ) -> None:
-    """Drive up to `seconds` of `RoadRecon-v0` and write the frames to `path` as an endless loop.
-
-    `path` ends in .gif or .webp and is written atomically; `progress` takes the work at hand and
-    the share done. Raises ConfigError for less than two frames, and for invalid `env_options`.
+    """Drive up to `seconds` of `RoadRecon-v0` and write the frames to `path`, .gif or .webp, as an
+    endless loop. Raises ConfigError for less than two frames, and for invalid `env_options`.
     """
     env = gymnasium.make(road_envs.ID, **{**env_options, "render_mode": "rgb_array"})
     rate = env.metadata["render_fps"]
@@ -61,7 +57,7 @@ def animate(
 
 
 def _quantized(frames: Iterator[np.ndarray]) -> Iterator[Any]:
-    """Yield frames in the renderer's palette; edge pixels keep the last value if it is close."""
+    """Yield frames in the renderer's palette; edge pixels within 40 of 255 keep the last value."""
     from PIL import Image
 
     from road_envs.rendering.style import palette
@@ -71,14 +67,13 @@ def _quantized(frames: Iterator[np.ndarray]) -> Iterator[Any]:
     values = np.array(palette(), dtype=np.int16).reshape(-1, 3)
     last = None
     for frame in frames:
-        nearest = np.asarray(
-            Image.fromarray(frame).quantize(palette=colours, dither=Image.Dither.NONE)
-        )
+        indexed = Image.fromarray(frame).quantize(palette=colours, dither=Image.Dither.NONE)
+        nearest = np.asarray(indexed)
         if last is None:
             last = nearest
         at_edge = (frame != values[nearest]).any(axis=2)
         off = np.abs(frame - values[last]).max(axis=2)
-        last = np.where(at_edge & (off <= _EDGE_TOLERANCE), last, nearest)
+        last = np.where(at_edge & (off <= 40), last, nearest)
         image = Image.fromarray(last)
         image.putpalette(palette())
         yield image

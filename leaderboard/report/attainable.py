@@ -26,9 +26,8 @@ from road_envs.core.code_digest import cache_home
 from road_envs.records.record import scored_band
 from road_envs.vehicle.parameters import VehicleParameters
 
-_ATTAINABLE = Kind(
-    "attainable error", 1, ("leaderboard.evaluation.evaluate", attainable_error.__module__)
-)
+_CODE = "leaderboard.evaluation.evaluate", attainable_error.__module__
+_ATTAINABLE = Kind("attainable error", 1, _CODE)
 BANDWIDTH = 100.0  # bandwidth [Hz] of the data; the estimators of this package use no more
 
 

@@ -5,15 +5,14 @@ standard deviation in that unit, of which the script makes a 90 % band.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, Trace, score_arrays
 from leaderboard.evaluation.tasks import Condition, Task
-from leaderboard.metrics.bootstrap import MIN_ROADS, Strata, count_roads, performance_profile
+from leaderboard.metrics.bootstrap import MIN_ROADS, count_roads, performance_profile
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.metrics.obstacles import Obstacle, match_obstacles, true_obstacles
 from leaderboard.metrics.registry import SCORES
@@ -26,16 +25,10 @@ from road_envs.sensing.instruments import load_instruments
 
 _HEIGHT_UNIT = 1e-4  # unit [m] of encoded heights
 _DRAWN_HEIGHT_LIMIT = 3.0  # drawn heights are clipped to +- this [m]
-_RAW_SPACING = 0.05  # least spacing [m] at which raw heights are drawn
-
-_IN_BAND_SPACING = 0.1  # least spacing [m] of band-passed heights: 5 points of the shortest wave
-_KINDS = ("inside", "raw")
-"""Drawn heights: inside the scored band, and about their median, as no sensor knows the datum."""
-
 _N_SHOWN = 2  # number of entries, best first, whose lines are shown at first
+_BOUNDS: dict[tuple[str, str], list[float]] = {}  # by task and condition, for every page
+_ERROR_HOVER = "%{y:.3f} at %{x:.2f} cycles/m"
 _CLASS_FREQUENCIES = (0.05, 10.0)  # range [cycles/m] of the chart of densities
-_THRESHOLDS = 41  # points of a performance profile, from 0 to the scale of the board
-_REPLICATES = 300  # bootstrap replicates of a performance profile: enough for a drawn line
 
 
 def _frequency_axis(low: float, high: float) -> Any:
@@ -57,15 +50,10 @@ ERROR_AXES: dict[str, Any] = {
 
 
 def task_charts(
-    task: Task,
-    definition: BoardDefinition,
-    results: Mapping[str, Result],
-    rows: Mapping[str, Row],
-    on_level: np.ndarray,
+    task: Task, results: Mapping[str, Result], rows: Mapping[str, Row], on_level: np.ndarray
 ) -> dict[str, fig.Chart]:
-    """Return the charts of a task by name, with the given results in their order, best first.
-
-    Runs `on_level` (R, C) roads, by `level_runs` of all results of the task, count for nobody.
+    """Return the charts of a task by name, with the given results in their order, best first. Runs
+    `on_level` (R, C) roads, by `level_runs` of all results of the task, count for nobody.
     """
     drawn = {
         condition: traces
@@ -77,18 +65,16 @@ def task_charts(
         "density": _density_chart(drawn),
         "error": _error_chart(task, {name: rows[name] for name in results}),
     }
-    key = definition.ranks_by
+    key = task.board_definition.ranks_by
     arrays = {name: _counted_runs(r, key, on_level) for name, r in results.items()}
     scores = {name: x for name, x in arrays.items() if count_roads(x) >= MIN_ROADS}
     if scores:
-        charts["runs"] = _runs_chart(scores, definition, task.test.strata)
+        charts["runs"] = _runs_chart(scores, task)
     return charts
 
 
 def _counted_runs(result: Result, key: str, on_level: np.ndarray) -> np.ndarray:
-    """Return a score (R, C, S) of all runs; one without it counts as infinite, but for those
-    `on_level` (R, C) roads.
-    """
+    """Return a score (R, C, S) of all runs, infinite without it unless `on_level` (R, C) roads."""
     every = score_arrays(result.scores)
     own = every[[*SCORES].index(key)]
     own[np.isfinite(every).any(axis=0) & np.isnan(own)] = np.inf
@@ -108,9 +94,8 @@ def _look_of_entry(k: int, name: str) -> dict[str, Any]:
 def height_lines(traces: Mapping[str, Trace], side: int, kind: str) -> list[dict[str, Any]]:
     """Return the truth and the estimates of one wheel path, _N_SHOWN of them visible at first."""
     reference = next(iter(traces.values()))
-    lines = [
-        _height_line("truth", reference, reference.z_true, side, kind) | {"line": fig.TRUTH_LINE}
-    ]
+    truth = _height_line("truth", reference, reference.z_true, side, kind)
+    lines = [truth | {"line": fig.TRUTH_LINE}]
     for k, (name, trace) in enumerate(traces.items()):
         line = _height_line(name, trace, trace.z_estimated, side, kind)
         if kind == "inside" and trace.z_std is not None:
@@ -122,11 +107,12 @@ def height_lines(traces: Mapping[str, Trace], side: int, kind: str) -> list[dict
 
 
 def _height_line(name: str, trace: Trace, z: np.ndarray, side: int, kind: str) -> dict[str, Any]:
-    """Return a line of drawn heights (2, N) [m] of a kind in _KINDS."""
-    drawn, spacing = z - np.median(z, axis=1, keepdims=True), _RAW_SPACING
-    if kind == "inside":
-        drawn = band_pass(z, trace.ds, scored_band(trace.speed_kmh / 3.6))
-        spacing = _IN_BAND_SPACING
+    """Return a line of heights (2, N) [m]: "raw", about their median, as no sensor knows the datum,
+    or "inside" the scored band; the least spacings [m] drawn are those here.
+    """
+    drawn, spacing = z - np.median(z, axis=1, keepdims=True), 0.05
+    if kind == "inside":  # 5 points of the shortest wave
+        drawn, spacing = band_pass(z, trace.ds, scored_band(trace.speed_kmh / 3.6)), 0.1
     first, stride = (z.shape[1] - drawn.shape[1]) // 2, max(1, round(spacing / trace.ds))
     limited = np.clip(drawn[side, ::stride], -_DRAWN_HEIGHT_LIMIT, _DRAWN_HEIGHT_LIMIT)
     steps = np.diff(np.rint(limited / _HEIGHT_UNIT).astype(int), prepend=0).tolist()
@@ -146,7 +132,7 @@ def _road_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> fig.Chart:
         )
         for side, path in enumerate(("left", "right")):
             marks = _obstacle_marks(traces, side)
-            for kind in _KINDS:
+            for kind in ("inside", "raw"):
                 lines = height_lines(traces, side, kind) + (marks if kind == "raw" else [])
                 figures[f"{condition.label}|{path}|{kind}"] = {"data": lines, "caption": caption}
     title, by = "Truth and estimates along the road", ("condition", "side", "kind")
@@ -158,23 +144,21 @@ def _obstacle_marks(traces: Mapping[str, Trace], side: int) -> list[dict[str, An
     found = true_obstacles(reference.z_true, reference.ds)[side]
     marks = [_marks("truth", "true obstacle", found, "triangle-down", fig.INK)] if found else []
     for k, (name, trace) in enumerate(traces.items()):
-        if (matches := match_obstacles(trace.z_true, trace.z_estimated, trace.ds)) is None:
+        if not (matches := match_obstacles(trace.z_true, trace.z_estimated, trace.ds)):
             continue
         pairs, missed, false = matches[side]
-        look = fig.colour(name)
         for kind, symbol, obstacles in (
             ("detected", "circle-open", [mine for _, mine in pairs]),
             ("missed", "x-thin-open", missed),
             ("false alarm", "diamond-open", false),
         ):
             if obstacles:
-                marks.append(_marks(name, kind, obstacles, symbol, look) | _visibility(k))
+                own = _marks(name, kind, obstacles, symbol, fig.colour(name))
+                marks.append(own | _visibility(k))
     return marks
 
 
-def _marks(
-    name: str, kind: str, obstacles: Sequence[Obstacle], symbol: str, paint: str
-) -> dict[str, Any]:
+def _marks(name: str, kind: str, obstacles: list[Obstacle], symbol: str, paint: str) -> fig.Chart:
     return {
         "name": f"{name}: {kind}",
         "legendgroup": name,
@@ -191,11 +175,8 @@ def _density_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> fig.Chart:
     """Return densities over areas of every second class: half to twice its mean, of waviness 2."""
     n = list(_CLASS_FREQUENCIES)
     means = {x: [G * (m / N_0) ** -2.0 for m in n] for x, G in CLASSES.items() if x in "ACEG"}
-    look: dict[str, Any] = {"fillcolor": fig.BAND, "name": "class"}
-    areas = [
-        fig.area(n, [0.5 * G for G in mean], [2.0 * G for G in mean], **look)
-        for mean in means.values()
-    ]
+    own: Any = {"fillcolor": fig.BAND, "name": "class"}
+    areas = [fig.area(n, [0.5 * G for G in x], [2.0 * G for G in x], **own) for x in means.values()]
     look = {"showarrow": False, "xanchor": "right", "font": {"color": fig.QUIET}}
     letters = [  # annotations take powers of ten
         {"text": letter, "x": np.log10(n[1]), "y": fig.rounded(y, 4), **look}
@@ -236,22 +217,15 @@ def error_lines(rows: Mapping[str, Row], group: str) -> list[dict[str, Any]]:
     lines = []
     for k, (name, row) in enumerate(rows.items()):
         values = row.groups.get(group, row.values)
-        y = [
-            None if (x := values.get(key)) is None else fig.rounded(x, 4) for key in SPECTRUM_SCORES
-        ]
+        found = map(values.get, SPECTRUM_SCORES)
+        y = [None if x is None else fig.rounded(x, 4) for x in found]
         look = _look_of_entry(k, name) | {"hovertemplate": _ERROR_HOVER}
         lines.append(fig.curve(name, THIRD_OCTAVES, y, **look))
     return lines
 
 
-_BOUNDS: dict[tuple[str, str], list[float]] = {}  # by task and condition, for every page
-_ERROR_HOVER = "%{y:.3f} at %{x:.2f} cycles/m"
-
-
 def _third_octave_bound(task: Task, condition: Condition) -> list[float]:
-    """Return the least NRMSE [-] in each of THIRD_OCTAVES on an ISO road (w = 2) of class D; none
-    of instruments without noise.
-    """
+    """Return the least NRMSE [-] by third octave on an ISO road of class D (w = 2), if any."""
     v, edge = condition.speed_kmh / 3.6, 2.0 ** (1 / 6)  # half a third octave
     car, instruments = task.vehicle_of(condition), load_instruments(task.instruments)
     n = np.geomspace(THIRD_OCTAVES[0] / edge, THIRD_OCTAVES[-1] * edge, 15 * 60)
@@ -290,22 +264,19 @@ def _error_chart(task: Task, rows: Mapping[str, Row]) -> fig.Chart:
     return fig.chart("Error over spatial frequency", figures, ERROR_AXES, by=("condition",))
 
 
-def _runs_chart(
-    scores: Mapping[str, np.ndarray], definition: BoardDefinition, strata: Strata
-) -> fig.Chart:
+def _runs_chart(scores: Mapping[str, np.ndarray], task: Task) -> fig.Chart:
     """Return the performance profiles of scores (R, C, S), with their intervals."""
-    thresholds = np.linspace(0.0, definition.scale, _THRESHOLDS)
+    definition, strata = task.board_definition, task.test.strata
+    thresholds = np.linspace(0.0, definition.scale, 41)
     x = [fig.rounded(limit) for limit in thresholds]
-    data = []
+    data, hover = [], "%{y:.0f} % of runs up to %{x:.2f}"
     for k, (name, values) in enumerate(scores.items()):
-        profile = performance_profile(values, thresholds, replicates=_REPLICATES, strata=strata)
+        profile = performance_profile(values, thresholds, strata)
         share, low, high = (np.round(100.0 * y, 1).tolist() for y in profile)
         own = {"legendgroup": name, **_visibility(k)}
-        data.append(fig.area(x, low, high, fillcolor=f"{fig.colour(name)}2e", name=name, **own))
-        hover = "%{y:.0f} % of runs up to %{x:.2f}"
-        data.append(
-            fig.curve(name, x, share, line=fig.line_style(name), hovertemplate=hover, **own)
-        )
+        band = fig.area(x, low, high, fillcolor=f"{fig.colour(name)}2e", name=name, **own)
+        look = {"line": fig.line_style(name), "hovertemplate": hover, **own}
+        data += [band, fig.curve(name, x, share, **look)]
     layout = {
         "xaxis": fig.axis(SCORES[definition.ranks_by].label, 0.0, definition.scale),
         "yaxis": fig.axis("share of runs [%]", 0.0, 100.0),

@@ -26,7 +26,6 @@ def as_bibtex(note: str = "") -> str:
 
 def cite_entry(out: Path, name: str) -> str:
     """BibTeX of an entry whose rows are under `out`: what ran, on what, and what its card says.
-
     Raises ConfigError if there is no row of this name.
     """
     paths = sorted((out / "results").glob("*/*.json"))

@@ -11,7 +11,6 @@ import numpy as np
 from scipy.stats import norm
 
 from estimators.registry import REGISTRY
-from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, Trace
 from leaderboard.evaluation.tasks import ALL_DRIVES, Task
 from leaderboard.metrics import UNDEFINED
@@ -19,37 +18,26 @@ from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.report import figures as fig
 from leaderboard.report.board_definitions import COLUMNS, rank_column
 from leaderboard.report.charts import ERROR_AXES, bound_lines, error_lines
-from leaderboard.report.overview import scaled
 from leaderboard.report.tables import BoardView, Row, Section, train_seconds
 from leaderboard.running.board import Board
 
-_WORST_DRIVES = 3  # number of drives of a task with the largest errors that are listed
-_LABEL_LENGTH = 20  # length at which the name of a group is continued on a second line [characters]
-
 _NOMINAL_SHARES = np.linspace(0.05, 0.95, 19)  # probabilities of intervals that are calibrated
-
-_Evaluated = tuple[Section, Result, Row, BoardDefinition]  # a row of a board
+_Evaluated = tuple[Section, Result, Row]  # a row of a board
 
 
 def page_values(
     board: Board, views: Sequence[BoardView], name: str, results: Sequence[tuple[Task, Result]]
 ) -> dict[str, Any]:
     """Return the values of the page of an entry, from its rows on all boards and its `results`."""
-    rows = [
-        (view, section, row)
-        for view in views
-        for section in view.sections
-        for row in section.rows
-        if row.name == name
-    ]
+    places = [(view, section) for view in views for section in view.sections]
+    rows = [(*place, row) for place in places for row in place[1].rows if row.name == name]
     by_task = {task.name: result for task, result in results}
-    evaluated = [
-        (section, by_task[section.task.name], row, view.definition)
-        for view, section, row in rows
-        if row.state in ("scored", "baseline")
-    ]
+    scored = ((x, row) for _, x, row in rows if row.state in ("scored", "baseline"))
+    evaluated = [(section, by_task[section.task.name], row) for section, row in scored]
     first, about = results[0][1], board.methods.get(name)
     settings = (f"{key.replace('_', ' ')} {x}" for key, x in first.settings.items())
+    statements = vars(about) | {"authors": ", ".join(about.authors)} if about else {}
+    cards = {card.identity: card for _, result in results if (card := board.card(result))}
     return {
         "root": "../",
         "name": name,
@@ -59,22 +47,14 @@ def page_values(
         "settings": ", ".join(settings),
         "programs": len({(x.code, json.dumps(x.settings, sort_keys=True)) for _, x in results}),
         "method": _method(name),
-        "method_card": {**vars(about), "authors": ", ".join(about.authors)}.items()
-        if about
-        else (),
-        "cards": list(
-            {card.identity: card for _, result in results if (card := board.card(result))}.values()
-        ),
+        "method_card": statements.items(),
+        "cards": [*cards.values()],
         "rows": rows,
         "rank_column": rank_column,
         "charts": _charts(evaluated),
         "tasks": [section.task for section, *_ in evaluated],
         "cost": [_cost(result) for _, result, *_ in evaluated],
-        "worst": [
-            drive
-            for _, result, _, definition in evaluated
-            for drive in _worst_drives(result, definition.ranks_by)
-        ],
+        "worst": [drive for where in evaluated for drive in _worst_drives(*where)],
         "failures": [(task, result.failure) for task, result in results if result.failure],
         "results": [(task, one, _result_provenance(board, task, one)) for task, one in results],
     }
@@ -103,10 +83,8 @@ def _charts(evaluated: Sequence[_Evaluated]) -> dict[str, fig.Chart]:
         "bargap": 0.3,
         "yaxis": fig.axis("", autorange="reversed", showgrid=False, fixedrange=True),
     }
-    shares = {
-        "xaxis": fig.axis("stated probability [%]", 0.0, 100.0),
-        "yaxis": fig.axis("errors inside [%]", 0.0, 100.0),
-    }
+    titles = {"xaxis": "stated probability [%]", "yaxis": "errors inside [%]"}
+    shares = {name: fig.axis(title, 0.0, 100.0) for name, title in titles.items()}
     made: dict[str, tuple[str, dict[str, Any], Callable[..., dict[str, Any] | None]]] = {
         "errors": ("Error by condition and family", ranked, _error_figure),
         "spectrum": ("Error over spatial frequency", ERROR_AXES, _spectrum_figure),
@@ -133,37 +111,26 @@ def _method(name: str) -> dict[str, Any] | None:
 def _paragraphs(documented: object) -> list[tuple[str, bool]]:
     """Return the paragraphs of a docstring, and whether each is indented: formulas, lists."""
     blocks = re.split(r"\n\s*\n", (inspect.getdoc(documented) or "").strip("\n"))
-    return [
-        (inspect.cleandoc(block), True)
-        if block.startswith(" ")
-        else (" ".join(block.split()), False)
-        for block in blocks
-        if block.strip()
-    ]
+    texts = [(x, x.startswith(" ")) for x in blocks if x.strip()]
+    return [(inspect.cleandoc(x) if own else " ".join(x.split()), own) for x, own in texts]
 
 
-def _error_figure(
-    section: Section, result: Result, row: Row, definition: BoardDefinition
-) -> dict[str, Any] | None:
+def _error_figure(section: Section, result: Result, row: Row) -> fig.Chart | None:
     """Return the ranking score over all runs and by condition and family, with intervals."""
-    key, score = definition.ranks_by, COLUMNS[definition.ranks_by]
+    key = section.task.board_definition.ranks_by
+    score = COLUMNS[key]
     names = [group for groups in section.groups.values() for group in groups]
     groups = {ALL_DRIVES: row.values, **{name: row.groups.get(name, {}) for name in names}}
     found = {name: x for name, values in groups.items() if (x := values.get(key)) is not None}
     if len(found) < 2:
         return None
-    labels = {
-        f"{'<br>'.join(textwrap.wrap(name, _LABEL_LENGTH))}  <b>{score.format_value(x)}</b>": (
-            score.factor * x
-        )
+    labels = {  # in lines of 20 characters
+        f"{'<br>'.join(textwrap.wrap(name, 20))}  <b>{score.format_value(x)}</b>": x
         for name, x in found.items()
     }
     ends = [(groups[name].get("low"), groups[name].get("high")) for name in found]
-    bars = {
-        **fig.interval_bars(row.name, labels, scaled(ends, score.factor)),
-        "marker": {"color": fig.colour(row.name)},
-        "hovertemplate": "%{y}<extra></extra>",
-    }
+    bars = fig.interval_bars(row.name, labels, ends, score.factor)
+    bars |= {"marker": {"color": fig.colour(row.name)}, "hovertemplate": "%{y}<extra></extra>"}
     layout = {
         "height": 30 * len(found) + 80,
         "xaxis": fig.axis(score.heading, rangemode="tozero"),
@@ -172,32 +139,30 @@ def _error_figure(
     return {"data": [bars], "layout": layout}
 
 
-def _spectrum_figure(section: Section, result: Result, row: Row, *_: Any) -> dict[str, Any]:
+def _spectrum_figure(section: Section, result: Result, row: Row) -> fig.Chart:
     condition = section.task.conditions[0]
     bound = bound_lines(section.task, condition, f"bound, {condition.label}")
     return {"data": [*bound, *error_lines({row.name: row}, "")]}
 
 
 def _calibration_figure(section: Section, result: Result, *_: Any) -> dict[str, Any] | None:
-    """Return the share of errors inside intervals of every probability; None without intervals.
-
-    The errors are those of the stored start of one drive under each condition, in the scored band.
+    """Return the share of errors inside intervals of every probability, in the scored band of the
+    stored start of one drive under each condition; None without intervals.
     """
     ratios = [_standardized(trace).ravel() for trace in result.traces if trace.z_std is not None]
     if not ratios:
         return None
     errors = np.concatenate(ratios)
     inside = [np.mean(errors <= norm.ppf(0.5 + share / 2.0)) for share in _NOMINAL_SHARES]
-    exact = {"color": fig.QUIET, "dash": "dot", "width": 1.2}
+    look = {"color": fig.QUIET, "dash": "dot", "width": 1.2}
+    exact = fig.curve("exact", [0, 100], [0, 100], line=look, hoverinfo="skip")
     x, y = ([fig.rounded(100.0 * s, 4) for s in shares] for shares in (_NOMINAL_SHARES, inside))
     measured = fig.curve(
         result.estimator, x, y, mode="lines+markers", line=fig.line_style(result.estimator),
         marker={"color": fig.colour(result.estimator)},
         hovertemplate="%{y:.0f} % of the errors inside the %{x:.0f} % interval",
     )  # fmt: skip
-    return {
-        "data": [fig.curve("exact", [0, 100], [0, 100], line=exact, hoverinfo="skip"), measured]
-    }
+    return {"data": [exact, measured]}
 
 
 def _standardized(trace: Trace) -> np.ndarray:
@@ -210,16 +175,16 @@ def _standardized(trace: Trace) -> np.ndarray:
     return np.abs(errors) / np.maximum(trace.deviation[:, first : first + errors.shape[1]], 0.5)
 
 
-def _worst_drives(result: Result, key: str) -> list[tuple[str, ...]]:
-    """Return task, road, condition, training seed and error of the worst of several drives."""
+def _worst_drives(section: Section, result: Result, *_: Any) -> list[tuple[str, ...]]:
+    """Return task, road, condition, training seed and error of the worst three of some drives."""
+    key = section.task.board_definition.ranks_by
     runs = result.scores[result.scores["score"] == key]
     if len(runs) < 2:
         return []
-    form = COLUMNS[key]
     return [
         (result.task, f"{run.road}, seed {run.road_seed}", run.condition, f"{run.seed}",
-         form.text(run.value))
-        for run in runs.nlargest(_WORST_DRIVES, "value").itertuples()
+         COLUMNS[key].text(run.value))
+        for run in runs.nlargest(3, "value").itertuples()
     ]  # fmt: skip
 
 

@@ -38,13 +38,12 @@ def write_exports(board: Board, views: Sequence[BoardView], out: Path) -> None:
     texts = {"road_recon.bib": as_bibtex(f"results of board {boards}")}
     folder = out / "export"
     folder.mkdir(parents=True, exist_ok=True)
-    scored = {task.name: board.scored(task) for task in board.tasks}
     for view in views:
         texts[f"{view.board}.csv"] = _as_csv(view)
         texts[f"{view.board}.json"] = json.dumps(as_json([view]), indent=1) + "\n"
         texts[f"{view.board}.tex"] = "\n".join(_as_latex(view, s) for s in view.sections)
-        names = [section.task.name for section in view.sections]
-        runs = pd.concat([scores_table(scored[name]).assign(task=name) for name in names])
+        tasks = [section.task for section in view.sections]
+        runs = pd.concat([scores_table(board.scored(x)).assign(task=x.name) for x in tasks])
         with atomic_write(folder / f"{view.board}.parquet") as partial:
             runs[["task", "estimator", *COLUMNS]].to_parquet(partial, index=False)
     for name, text in texts.items():

@@ -21,7 +21,7 @@ _N_COLOURS = 7  # number of colours of lines in `static/site.css`: as many as th
 _DASHES = ("solid", "dash", "dot")  # dashes of the estimators in FAMILIES
 _OTHER_DASHES = ("dashdot", "longdash", "longdashdot")  # dashes of all other estimators
 
-FAMILIES = (
+FAMILIES = (  # those of one method have one colour on every page, and differ by their dashes
     ("map_smoother",),
     ("iterated_wiener", "wiener"),
     ("kalman_rts", "kalman_lag", "kalman"),
@@ -30,41 +30,27 @@ FAMILIES = (
     ("fir_ridge", "inverse_quarter_car"),
     ("static_lm", "narx"),
 )
-"""Estimators of one method have one colour on every page, and differ by their dashes."""
 
-_STYLES = {
-    name: (k, dash)
-    for k, family in enumerate(FAMILIES)
-    for name, dash in zip(family, _DASHES, strict=False)
-}
+_STYLES = {x: (k, _DASHES[j]) for k, family in enumerate(FAMILIES) for j, x in enumerate(family)}
 INK, QUIET, BAND = "var(--ink)", "var(--quiet)", "var(--band)"
 TRUTH_LINE = {"color": "var(--truth)", "width": 4.0}
-
-Chart = dict[str, Any]
-
-
-def colour(name: str) -> str:
-    """Return the colour of an estimator, the same on every page."""
-    return f"var(--line-{_style(name)[0]})"
+Chart = dict[str, Any]  # as a whole, or a part of it
 
 
 def line_style(name: str) -> dict[str, Any]:
-    """Return colour, dash and width of the line of an estimator."""
-    return {"color": colour(name), "dash": _style(name)[1], "width": 1.6}
-
-
-def _style(name: str) -> tuple[int, str]:
+    """Return colour, dash and width of the line of an estimator, the same on every page."""
     digest = zlib.crc32(name.encode())
     other = _OTHER_DASHES[digest // _N_COLOURS % len(_OTHER_DASHES)]
-    return _STYLES.get(name, (digest % _N_COLOURS, other))
+    k, dash = _STYLES.get(name, (digest % _N_COLOURS, other))
+    return {"color": f"var(--line-{k})", "dash": dash, "width": 1.6}
 
 
-def chart(
-    title: str,
-    figures: Mapping[str, Mapping[str, Any]],
-    layout: Mapping[str, Any],
-    by: Sequence[str] = (),
-) -> Chart:
+def colour(name: str) -> str:
+    """Return the colour of an estimator."""
+    return line_style(name)["color"]
+
+
+def chart(title: str, figures: Chart, layout: Chart, by: Sequence[str] = ()) -> Chart:
     """Return a chart; a single figure has the key ""."""
     return {"title": title, "by": list(by), "layout": dict(layout), "figures": dict(figures)}
 
@@ -77,9 +63,8 @@ def axis(label: str, low: float | None = None, high: float | None = None, **opti
 
 def curve(name: str, x: Iterable[float], y: Iterable[float | None], **options: Any) -> Any:
     """Return a line; its legend entry also hides what has the same `legendgroup`."""
-    return {"name": name, "x": list(x), "y": list(y), "legendgroup": name, "mode": "lines"} | (
-        options
-    )
+    line = {"name": name, "x": list(x), "y": list(y), "legendgroup": name, "mode": "lines"}
+    return line | options
 
 
 def area(x: Sequence[float], low: Sequence[float], high: Sequence[float], **options: Any) -> Any:
@@ -90,16 +75,17 @@ def area(x: Sequence[float], low: Sequence[float], high: Sequence[float], **opti
 
 
 def interval_bars(
-    name: str, values: Mapping[str, float], ends: Iterable[tuple[float | None, float | None]]
+    name: str, values: Mapping[str, float], ends: Iterable[tuple[Any, Any]], factor: float
 ) -> dict[str, Any]:
-    """Return horizontal bars of values by label, with their intervals where there are any."""
+    """Return horizontal bars of `factor` times the values by label, with intervals if not None."""
+    scaled = [factor * value for value in values.values()]
     spans = [
-        (0.0, 0.0) if low is None or high is None else (x - low, high - x)
-        for x, (low, high) in zip(values.values(), ends, strict=True)
+        (0.0, 0.0) if low is None or high is None else (x - factor * low, factor * high - x)
+        for x, (low, high) in zip(scaled, ends, strict=True)
     ]
     below, above = ([rounded(x, 4) for x in ends] for ends in zip(*spans, strict=True))
     error = {"type": "data", "arrayminus": below, "array": above, "color": INK}
-    x = [rounded(value, 5) for value in values.values()]
+    x = [rounded(value, 5) for value in scaled]
     bars = {"type": "bar", "orientation": "h", "name": name, "x": x, "y": list(values)}
     return {**bars, "error_x": {**error, "thickness": 1.5, "width": 3}}
 

@@ -22,7 +22,6 @@ from road_envs.vehicle.parameters import load_vehicle
 if TYPE_CHECKING:
     from leaderboard.report.tables import Row
 
-
 PUBLIC_ROADS = (
     "The test roads of this board are public: an entry can draw them again instead of estimating "
     "them, and its rank then says nothing. A rank counts only in a sealed season, whose seeds are "
@@ -37,10 +36,8 @@ FOUND_SEEDS = (
 
 _SENSORS = "paper"  # of shipped weights, and those that a model of the sensors has by default
 _SHEET = attrgetter("fs", "f_alias", "noise_density", "speed_error")
-
-_SEARCHED = 2**40
-"""Seeds below are found by trial, 100 000 in a second, in 130 days of a core; of 62 bits in none.
-"""
+_SEARCHED = 2**40  # seeds below are found by trial, 100 000 in a second, in 130 days of a core
+_Known = Mapping[str, Sequence[Verified]]  # what was verified, by the content of the row
 
 
 def section_notes(
@@ -55,11 +52,14 @@ def section_notes(
     level = f"On {drives} nobody has a score, as on a level road."
     unranked = [x.name for x in rows if x.state == "scored" and x.values.get(ranks_by) is None]
     lacking = f"No {SCORES[ranks_by].label} on some drives, and so no rank: {', '.join(unranked)}."
+    others = [x for x in scored if x.role == "entry" and x.estimator not in REGISTRY]
+    is_drawn = others and not task.is_public and min(task.test.all_seeds) < _SEARCHED
+    seeds = {name: f"{n} training seed{'s' * (n > 1)}" for name, n in trainings.items()}
     results = [*scored, *board.failed(task)]  # of a file, they note what was changed on its surface
     surface = dict.fromkeys(x for r in results for x in r.notes if x not in _own_notes(r))
     return (
         *([PUBLIC_ROADS] if task.is_public else []),
-        *([FOUND_SEEDS] if _can_find_seeds(task, scored) else []),
+        *([FOUND_SEEDS] if is_drawn else []),
         *([level] if level_drives else []),
         *([lacking] if unranked else []),
         *_protocol_notes(task, scored),
@@ -68,21 +68,13 @@ def section_notes(
         *sanity_warnings(rows, ranks_by, task.is_public),
         *_kernel_notes(scored, _verified_for(task, board.verified)),
         *_version_notes(scored),
-        *_seed_notes(trainings),
+        *_notes_on_others(seeds, "ran with {}, the others with {}"),
     )
-
-
-def _can_find_seeds(task: Task, scored: Iterable[Result]) -> bool:
-    """Return whether entries by others could have drawn roads that nobody has told them."""
-    others = (x for x in scored if x.role == "entry" and x.estimator not in REGISTRY)
-    return not task.is_public and min(task.test.all_seeds) < _SEARCHED and any(others)
 
 
 def sanity_warnings(rows: Sequence["Row"], ranks_by: str, is_public: bool = False) -> list[str]:
     """Return remarks on entries whose NRMSE or ranking score is better than that of the truth with
     noise, or whose NRMSE is better than the bound, and on faulty baselines.
-
-    On roads that are public, an entry below the bound may have drawn them again.
     """
     doubt = ": it knows more than the sensors tell, or has drawn these public roads again"
     error = {row.name: row.values.get("nrmse") for row in rows}
@@ -99,12 +91,9 @@ def sanity_warnings(rows: Sequence["Row"], ranks_by: str, is_public: bool = Fals
         elif mine is not None and bound is not None and mine < bound:
             share = f"on {below:.0%} of its drives{doubt * is_public}"
             warnings.append(f"{row.name} is below the {BOUND_NAME}, {share}")
-    for name, expected in (("flat", 1.0), (TRUTH_PLUS_NOISE, NOISE_LEVEL)):
-        mine = error.get(name)
-        if mine is not None and abs(mine - expected) > 0.1 * expected:
-            warnings.append(
-                f"the evaluation is faulty: {name} scores {mine:.3f} instead of {expected:g}"
-            )
+    for name, level in (("flat", 1.0), (TRUTH_PLUS_NOISE, NOISE_LEVEL)):
+        if (x := error.get(name)) is not None and abs(x - level) > 0.1 * level:
+            warnings.append(f"the evaluation is faulty: {name} scores {x:.3f} instead of {level:g}")
     return warnings
 
 
@@ -151,22 +140,17 @@ def _own_notes(result: Result) -> list[str]:
 
 def isolation_notice(results: Iterable[Result]) -> str | None:
     """Return one sentence on the scored rows that ran without isolation; None if all had it."""
-    names = [
-        r.estimator
-        for r in results
-        if r.role == "entry" and r.failure is None and r.isolation not in ISOLATED
-    ]
+    entries = (r for r in results if r.role == "entry" and r.failure is None)
+    names = dict.fromkeys(r.estimator for r in entries if r.isolation not in ISOLATED)
     if not names:
         return None
     return (
-        f"Run without isolation: {', '.join(dict.fromkeys(names))}. These estimators had the "
-        "rights of the user who ran the board: their rows hold only if that user trusts their code."
+        f"Run without isolation: {', '.join(names)}. These estimators had the rights of the user "
+        "who ran the board: their rows hold only if that user trusts their code."
     )
 
 
-def _verified_for(
-    task: Task, verified: Mapping[str, Sequence[Verified]]
-) -> dict[str, list[Verified]]:
+def _verified_for(task: Task, verified: _Known) -> _Known:
     """Return what was verified less what agrees in another score than the task is ranked by."""
     rank = task.board_definition.ranks_by
     return {
@@ -175,13 +159,10 @@ def _verified_for(
     }
 
 
-def _kernel_notes(
-    results: Sequence[Result], verified: Mapping[str, Sequence[Verified]]
-) -> list[str]:
-    """Return a note on the rows of a task that are not known to agree with the kernels of most.
-
-    A row agrees if it was verified on them within the tolerance, or says that it was made with
-    them and was not run there again: what it says of its machine is taken on trust.
+def _kernel_notes(results: Sequence[Result], verified: _Known) -> list[str]:
+    """Return a note on the rows of a task that are not known to agree with the kernels of most: by
+    what was verified on them within the tolerance, or, if they were not run there again, by what
+    they say of their machine, which is taken on trust.
     """
     made = {result.estimator: kernels_of(result.environment) for result in results}
     usual = _most_frequent(made)
@@ -211,27 +192,15 @@ def _kernel_notes(
 
 
 def _version_notes(results: Sequence[Result]) -> list[str]:
-    """Return a note on the rows of a task that were made with another version of a library than
-    most, or of Python but for its last number.
-    """
+    """Return notes on rows of another version than most of a library, or Python's first numbers."""
     notes = []
     for name in ("python", *LIBRARIES):
         made = {r.estimator: r.environment[name] for r in results if name in r.environment}
-        if name == "python":
-            made = {k: " or ".join(_minor_versions(versions)) for k, versions in made.items()}
+        if name == "python":  # of the parts of a row, such as "3.11.4 or 3.11.5 or 3.12.0"
+            parts = {k: [x.rpartition(".")[0] for x in v.split(" or ")] for k, v in made.items()}
+            made = {k: " or ".join(dict.fromkeys(minor)) for k, minor in parts.items()}
         notes += _notes_on_others(made, f"ran with {name} {{}}, the others with {{}}")
     return notes
-
-
-def _minor_versions(versions: str) -> Iterable[str]:
-    """Return 3.11 and 3.12 of "3.11.4 or 3.11.5 or 3.12.0", the versions of the parts of a row."""
-    return dict.fromkeys(version.rpartition(".")[0] for version in versions.split(" or "))
-
-
-def _seed_notes(trainings: Mapping[str, int]) -> list[str]:
-    """Return a note on the rows that were trained with another number of seeds than most."""
-    made = {name: f"{n} training seed{'s' * (n > 1)}" for name, n in trainings.items()}
-    return _notes_on_others(made, "ran with {}, the others with {}")
 
 
 def _notes_on_others(made: Mapping[str, str], text: str) -> list[str]:

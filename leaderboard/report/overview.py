@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 
-from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result
 from leaderboard.report import figures as fig
 from leaderboard.report.board_definitions import BOUND_ROW, COLUMNS, ranked_kind
@@ -11,11 +10,7 @@ from leaderboard.report.rendering import file_name
 from leaderboard.report.sentences import PAPER_NETWORK, scored_rows, unrelated_level_errors
 from leaderboard.report.tables import Section, interval_text
 
-_MAX_BARS = 16  # number of entries in the chart of the ranking, best first
-_BAR_HEIGHT = 19  # height of a bar with its gap [pixels]
 _LABEL_HEIGHT = 15  # height of the label of a line [pixels]
-_MODEBAR_HEIGHT = 34  # height of the buttons above a chart [pixels]
-_STRIP_LENGTH = 30.0  # length of road [m] that the strip shows at first
 
 _MARK_LABEL = {
     "y": 1, "yref": "paper", "xanchor": "right", "xshift": -2, "showarrow": False,
@@ -23,12 +18,12 @@ _MARK_LABEL = {
 }  # fmt: skip
 
 
-def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | None:
-    """Return the ranking as bars with intervals; bound and baselines are lines. None if empty."""
-    key = definition.ranks_by
-    rows = scored_rows(section, definition)[:_MAX_BARS]
-    if not rows:
+def ranking_chart(section: Section) -> fig.Chart | None:
+    """Return the 16 best as bars with intervals, bound and baselines as lines; None if empty."""
+    if not (rows := scored_rows(section)[:16]):
         return None
+    definition = section.task.board_definition
+    key = definition.ranks_by
     score = COLUMNS[key]
     marks = _marked_values(section, key)
     values = [row.values[key] or 0.0 for row in rows]
@@ -37,12 +32,12 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | 
     ends = [(row.values.get("low"), row.values.get("high")) for row in rows]
     labels = {
         f'<a href="estimators/{file_name(row.name)}">{row.name}</a>  '
-        f"<b>{score.format_value(x)}</b>": score.factor * x
+        f"<b>{score.format_value(x)}</b>": x
         for row, x in zip(rows, values, strict=True)
     }
     pattern = {"shape": ["/" if row.causal else "" for row in rows], "fillmode": "replace"}
     bars = {
-        **fig.interval_bars("entries", labels, scaled(ends, score.factor)),
+        **fig.interval_bars("entries", labels, ends, score.factor),
         "marker": {"color": [fig.colour(row.name) for row in rows], "pattern": pattern},
         "hovertext": [
             f"{row.name}: {score.text(x)}"
@@ -51,15 +46,14 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | 
         ],
         "hovertemplate": "%{hovertext}<extra></extra>",
     }
-    top = _MODEBAR_HEIGHT + _LABEL_HEIGHT * len(marks)
+    top = 34 + _LABEL_HEIGHT * len(marks)  # [pixels] of the buttons, and of the labels below them
+    label = "error" if key == "nrmse" else score.heading
     layout = {
-        "height": _BAR_HEIGHT * len(rows) + top + 44,
+        "height": 19 * len(rows) + top + 44,  # of bars with their gaps
         "margin": {"l": 8, "r": 12, "t": top, "b": 44},
         "showlegend": False,
         "bargap": 0.25,
-        "xaxis": fig.axis(
-            "error" if key == "nrmse" else score.heading, 0.0, fig.rounded(score.factor * limit, 4)
-        ),
+        "xaxis": fig.axis(label, 0.0, fig.rounded(score.factor * limit, 4)),
         "yaxis": fig.axis("", autorange="reversed", ticks="", showgrid=False, fixedrange=True),
         "shapes": [fig.upright(score.factor * x, "dash") for x in marks.values()],
         "annotations": [  # left of its line, above the names, where there is room on any screen
@@ -71,16 +65,6 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | 
     return fig.chart(title, {"": {"data": [bars]}}, layout)
 
 
-def scaled(
-    ends: Iterable[tuple[float | None, float | None]], factor: float
-) -> list[tuple[float | None, float | None]]:
-    """Return intervals in the unit in which a score is printed."""
-    return [
-        (None, None) if low is None or high is None else (factor * low, factor * high)
-        for low, high in ends
-    ]
-
-
 def _marked_values(section: Section, key: str) -> dict[str, float]:
     """Return bound and baselines by label, smallest first; equal ones share a label."""
     found: dict[str, tuple[list[str], float]] = {}
@@ -89,33 +73,25 @@ def _marked_values(section: Section, key: str) -> dict[str, float]:
         if value is not None and row.state == "baseline":
             text = "linear bound" if row.name == BOUND_ROW else row.name.replace("_", " ")
             found.setdefault(COLUMNS[key].format_value(value), ([], value))[0].append(text)
-    marks = {
-        f"{', '.join(names)} {text}": fig.rounded(value) for text, (names, value) in found.items()
-    }
+    marks = {f"{', '.join(names)} {text}": fig.rounded(x) for text, (names, x) in found.items()}
     return dict(sorted(marks.items(), key=lambda item: item[1]))
 
 
-def strip_chart(
-    section: Section, results: Iterable[Result], definition: BoardDefinition
-) -> fig.Chart | None:
+def strip_chart(section: Section, results: Iterable[Result]) -> fig.Chart | None:
     """Return the truth against the best estimate and the paper's network; None without traces."""
     by_name = {result.estimator: result for result in results if result.traces}
-    order = [row.name for row in scored_rows(section, definition) if row.name in by_name]
+    order = [row.name for row in scored_rows(section) if row.name in by_name]
     chosen = dict.fromkeys([*order[:1], *(n for n in order if n == PAPER_NETWORK), *order[1:2]])
     traces = {name: by_name[name].traces[0] for name in list(chosen)[:2]}
     if not traces:
         return None
     trace = next(iter(traces.values()))
     lines = height_lines(traces, side=0, kind="inside")
-    first = lines[0]["x0"]
+    shown = [fig.rounded(lines[0]["x0"] + x) for x in (0.0, 30.0)]  # [m] at first
     layout = {"height": 310, "margin": {"l": 56, "r": 8, "t": 34, "b": 44}, **HEIGHT_AXES}
-    layout["xaxis"] = layout["xaxis"] | {
-        "range": [fig.rounded(first), fig.rounded(first + _STRIP_LENGTH)]
-    }
-    caption = (
-        f"Left wheel path of {trace.road} at {trace.speed_kmh:g} km/h, in the band that the "
-        "sensors observe"
-    )
+    layout["xaxis"] = layout["xaxis"] | {"range": shown}
+    driven = f"Left wheel path of {trace.road} at {trace.speed_kmh:g} km/h"
+    caption = f"{driven}, in the band that the sensors observe"
     title = "Truth, best estimate and the paper's network along a road"
     return fig.chart(title, {"": {"data": lines, "caption": caption}}, layout)
 
@@ -126,8 +102,7 @@ def levels_chart(claims: Sequence[float]) -> fig.Chart:
     x = [fig.rounded(error, 4) for error in sorted((100.0 * errors).tolist())]
     y = [fig.rounded(100.0 * (k + 1) / len(x), 4) for k in range(len(x))]
     hover = "%{y:.0f} % below %{x:.1f} %<extra></extra>"
-    look = {"line": {"color": "var(--line-1)"}, "hovertemplate": hover}
-    line = fig.curve("unrelated roads", x, y, **look)
+    line = fig.curve("unrelated roads", x, y, line={"color": "var(--line-1)"}, hovertemplate=hover)
     layout = {
         "height": 280,
         "showlegend": False,

@@ -6,7 +6,8 @@ The colours are those of Okabe & Ito (2008), which colour-blind readers can dist
 import hashlib
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 COLOURS = {"left": "#0072B2", "right": "#D55E00", "truth": "#222222", "sensor": "#009E73"}
 SIDES = ("left", "right")
+_LINE_STYLES = (("#D55E00", "-"), ("#0072B2", "--"), ("#009E73", "-."), ("#CC79A7", ":"))
 
 _SVG_STYLE: Any = {  # of the figures of a page
     "svg.fonttype": "none", "svg.hashsalt": "roadrecon", "font.size": 8.5, "axes.linewidth": 0.6,
@@ -35,8 +37,7 @@ _SVG_STYLE: Any = {  # of the figures of a page
 
 def draw_road(surface: Surface, path: Path) -> None:
     """Plot both wheel paths over distance, and their densities over the ISO 8608 classes."""
-
-    def paint(figure: Any) -> None:
+    with new_figure((11.0, 4.0)) as figure:
         heights, density = figure.subplots(1, 2, width_ratios=(2, 1))
         for side, z in zip(SIDES, surface.z, strict=True):
             heights.plot(surface.s, 1000 * z, color=COLOURS[side], lw=0.9, label=side)
@@ -47,8 +48,7 @@ def draw_road(surface: Surface, path: Path) -> None:
         heights.legend(frameon=False)
         draw_classes(density)
         density.set_title("over the ISO 8608 classes")
-
-    write_figure(paint, (11.0, 4.0), path)
+    save_figure(figure, path)
 
 
 def draw_classes(axes: Any) -> None:
@@ -67,8 +67,7 @@ def draw_classes(axes: Any) -> None:
 
 def draw_drive(record: Record, truth: Profile, path: Path) -> None:
     """Plot the road and the signals of the accelerometers over the front axle's station."""
-
-    def paint(figure: Any) -> None:
+    with new_figure((11.0, 1.75 * (1 + len(record.a)))) as figure:
         panels = figure.subplots(1 + len(record.a), 1, sharex=True)
         for side, z in zip(SIDES, truth.z, strict=True):
             panels[0].plot(truth.s, 1000 * z, color=COLOURS[side], lw=0.9, label=side)
@@ -79,15 +78,12 @@ def draw_drive(record: Record, truth: Profile, path: Path) -> None:
             axes.set(ylabel=f"{name} [m/s²]")
         panels[-1].set(xlabel="station of the front axle [m]")
         panels[0].set_title(f"{record.v[0] * 3.6:.1f} km/h")
-
-    write_figure(paint, (11.0, 1.75 * (1 + len(record.a))), path)
+    save_figure(figure, path)
 
 
 def estimate_figure(truth: Profile | None, estimate: Estimate, v: float) -> Any:
-    """Plot both estimated wheel paths (dashed) over the truth (solid), if known.
-
-    Each path is shown whole and inside the scored band at `v` [m/s], there with its 90 % interval
-    if the estimate has a standard deviation.
+    """Plot both estimated wheel paths (dashed) over the truth (solid), if known: whole, and inside
+    the scored band at `v` [m/s], there with the 90 % interval if it has a standard deviation.
     """
     band = scored_band(v)
 
@@ -97,7 +93,7 @@ def estimate_figure(truth: Profile | None, estimate: Estimate, v: float) -> Any:
         trim = (profile.s.size - z.size) // 2
         return profile.s[trim : trim + z.size], z
 
-    def paint(figure: Any) -> None:
+    with new_figure((11.0, 8.5)) as figure:
         panels = figure.subplots(4, 1, sharex=True)
         for axes, (side, inside) in zip(panels, product((0, 1), (False, True)), strict=True):
             colour = COLOURS[SIDES[side]]
@@ -117,23 +113,18 @@ def estimate_figure(truth: Profile | None, estimate: Estimate, v: float) -> Any:
         panels[-1].set(xlabel="distance [m]")
         low, high = band
         panels[0].set_title(f"scored band: {low:g} to {high:.2g} cycles/m", loc="left", fontsize=10)
-
-    return _make_figure(paint, (11.0, 8.5))
-
-
-_LINE_STYLES = (("#D55E00", "-"), ("#0072B2", "--"), ("#009E73", "-."), ("#CC79A7", ":"))
+    return figure
 
 
 def draw_observability(
     curves: Sequence[tuple[str, float, Posterior, float]], title: str, path: Path
 ) -> None:
-    """Plot the relative error of the amplitude over n, for mean and difference of the wheel paths.
-
-    One column for each speed, one line for each (mode, km/h, posterior, in-band NRMSE).
+    """Plot the relative error of the amplitude over n, for mean and difference of the wheel paths;
+    a column for each speed, a line for each (mode, km/h, posterior, in-band NRMSE).
     """
     speeds = list(dict.fromkeys(speed for _, speed, _, _ in curves))
 
-    def paint(figure: Any) -> None:
+    with new_figure((5.5 * len(speeds) + 0.5, 7.0)) as figure:
         panels = figure.subplots(2, len(speeds), sharex=True, sharey=True, squeeze=False)
         for column, speed in zip(panels.T, speeds, strict=True):
             lines = [(mode, x, error) for mode, v, x, error in curves if v == speed]
@@ -153,14 +144,12 @@ def draw_observability(
         for axes in panels[:, 0]:
             axes.set(ylabel="relative error of amplitude [-]", ylim=(1e-3, 1.3))
         figure.suptitle(f"Least error with the accelerometers: {title}", fontsize=11)
-
-    write_figure(paint, (5.5 * len(speeds) + 0.5, 7.0), path)
+    save_figure(figure, path)
 
 
 def draw_identification(result: "IdentificationResult", drives: Sequence[str], path: Path) -> None:
     """Draw the unexplained spectra of the held-out readings, and the parameters with intervals."""
-
-    def paint(figure: Any) -> None:
+    with new_figure((12.0, 6.0)) as figure:
         spectrum, parameters = figure.subplots(1, 2, width_ratios=(1, 1.1))
         looks = ((COLOURS["right"], "described vehicle"), (COLOURS["left"], "identified vehicle"))
         for k, pair in enumerate(result.unexplained):
@@ -183,27 +172,28 @@ def draw_identification(result: "IdentificationResult", drives: Sequence[str], p
         )  # fmt: skip
         parameters.set_yticks(rows, result.names[:size], fontsize=7)
         parameters.set_title("parameters; grey: within one tolerance")
+    save_figure(figure, path)
 
-    write_figure(paint, (12.0, 6.0), path)
 
-
-def _make_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any:
-    """Return a matplotlib figure of `size` [inch] that `paint` has filled."""
+@contextmanager
+def new_figure(size: tuple[float, float]) -> Iterator[Any]:
+    """Yield an empty matplotlib figure of `size` [inch]."""
     with optional_import("a figure"):
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
     figure = Figure(figsize=size, layout="constrained", dpi=130)
     FigureCanvasAgg(figure)
-    paint(figure)
+    yield figure
     for axes in figure.axes:
         axes.spines[["top", "right"]].set_visible(False)
-    return figure
 
 
 def write_figure(paint: Callable[[Any], None], size: tuple[float, float], path: Path) -> None:
     """Call `paint` on a figure of `size` [inch] and write it atomically."""
-    save_figure(_make_figure(paint, size), path)
+    with new_figure(size) as figure:
+        paint(figure)
+    save_figure(figure, path)
 
 
 def save_figure(figure: Any, path: Path) -> None:
@@ -221,7 +211,8 @@ def inline_svg(paint: Callable[[Any], None], size: tuple[float, float]) -> str:
 
     buffer = io.StringIO()
     with matplotlib.rc_context(_SVG_STYLE):
-        figure = _make_figure(paint, size)
+        with new_figure(size) as figure:
+            paint(figure)
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     svg = buffer.getvalue()
     svg = re.sub(r"\s+", " ", svg[svg.index("<svg") :]).replace("> <", "><")

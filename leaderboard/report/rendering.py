@@ -25,13 +25,9 @@ def _environment() -> Any:
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup, escape
 
-    environment = Environment(
-        loader=FileSystemLoader([STATIC.with_name("templates"), STATIC]),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
+    loader = FileSystemLoader([STATIC.with_name("templates"), STATIC])
+    blocks: Any = {"trim_blocks": True, "lstrip_blocks": True}
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, **blocks)
     # JSON stands inside <script>, which only "<" could end
     environment.filters["data"] = lambda x: Markup(
         json.dumps(x, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
@@ -50,9 +46,8 @@ def render(template: str, **values: Any) -> str:
 
 
 def write_pending(page: Path, title: str, command: str) -> None:
-    """Write a page that says which command will write it, unless there is one.
-
-    The board and the comparison of policies of one folder link to each other, whichever ends first.
+    """Write a page that says which command will write it, unless there is one: the board and the
+    comparison of policies of one folder link to each other, whichever ends first.
     """
     if not page.exists():
         write_static(page.parent)
@@ -60,10 +55,7 @@ def write_pending(page: Path, title: str, command: str) -> None:
         write_text(page, render("site/pending.html", **own))
 
 
-def write_static(out: Path) -> list[str]:
-    """Copy the shared files of a site into `out`; return their names."""
-    names = []
+def write_static(out: Path) -> None:
+    """Copy the shared files of a site into `out`."""
     for source in sorted(STATIC.iterdir()):
-        names.append(f"{STATIC.name}/{source.name}")
-        copy_file(source, out / names[-1])
-    return names
+        copy_file(source, out / STATIC.name / source.name)

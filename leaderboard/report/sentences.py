@@ -10,25 +10,16 @@ from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import MEMORY
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
+from leaderboard.report import board_definitions as boards
 from leaderboard.report import tables
-from leaderboard.report.board_definitions import (
-    COLUMNS,
-    WORST,
-    column_forms,
-    rank_column,
-    ranked_kind,
-)
 from leaderboard.report.tables import BoardView, Row, Section
 from leaderboard.running.board import Board
 from road_envs.records.record import PROFILE_SPACING, profile_stations
 from road_envs.roads import load_road
 
 PAPER_NETWORK = "static_lm"  # the estimator that implements the paper's network
-
-_N_PAIRS = 200  # number of pairs of unrelated roads
-
+_N_PAIRS = 200  # number of pairs of unrelated roads, of the class of the training roads
 UNRELATED_ROAD = {"kind": "iso8608", "road_class": "D", "length": 100.0}
-"""Road of the pairs, of the class of the training roads."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +40,8 @@ def build_report(board: Board) -> Report:
 def unrelated_level_errors(
     longest_wave: float = 20.0, about_mean: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return level errors (2 _N_PAIRS,) and correlations (_N_PAIRS,) of unrelated class-D roads.
-
-    Level errors are those of single wheel paths, of heights about their mean or about the first
-    one. The two roads of a pair are 100 m of the same class and independent.
+    """Return level errors (2 _N_PAIRS,), of single wheel paths, about their mean or first height,
+    and correlations (_N_PAIRS,) of pairs of independent class-D roads of 100 m.
     """
     levels: list[float] = []
     r: list[float] = []
@@ -71,19 +60,15 @@ def _unrelated_roads(longest_wave: float) -> list[list[np.ndarray]]:
     """Return pairs of independent roads, each the heights (2, M) [m] of both wheel paths."""
     road = load_road({**UNRELATED_ROAD, "n_min": 1.0 / longest_wave})
     s = profile_stations(100.0)
-    return [
-        [road.realise(np.random.default_rng([0, k, j])).height(s) for j in range(2)]
-        for k in range(_N_PAIRS)
-    ]
+    rng = np.random.default_rng
+    return [[road.realise(rng([0, k, j])).height(s) for j in (0, 1)] for k in range(_N_PAIRS)]
 
 
 def _unrelated_sentence() -> str:
     """Return the sentence about equation 12 for a road that is unrelated to the truth."""
     levels, r = unrelated_level_errors()
-    long_waves, as_printed = (
-        100.0 * np.median(unrelated_level_errors(longest_wave=100.0, about_mean=mean)[0])
-        for mean in (True, False)
-    )
+    others = [unrelated_level_errors(100.0, about_mean)[0] for about_mean in (True, False)]
+    long_waves, as_printed = (100.0 * np.median(x) for x in others)
     low, median, high = 100.0 * np.quantile(levels, [0.1, 0.5, 0.9])
     low_share = _percent(float(np.mean(levels < STATE_LIMITS[0])), 0)
     return (
@@ -107,29 +92,28 @@ def findings(views: Sequence[BoardView]) -> tuple[str, ...]:
         found += [_paper_protocol(claimed, rows), _memory(rows)]
         for section in view.sections:
             if view.definition.divisions and section not in claimed:
-                own = headline(section, view.definition)
-                found += [f"{section.task.name}: {sentence}" for sentence in own]
+                found += [f"{section.task.name}: {sentence}" for sentence in headline(section)]
     return tuple(sentence for sentence in found if sentence)
 
 
-def headline(section: Section, definition: BoardDefinition) -> list[str]:
+def headline(section: Section) -> list[str]:
     """Sentence on the best entry, the next ones and how sure that is, in plain words."""
-    scored, rank = scored_rows(section, definition), rank_column(definition)
-    if not scored:
+    if not (scored := scored_rows(section)):
         return []
     best, *others = scored
+    definition = section.task.board_definition
+    rank = boards.rank_column(definition)
     tied = [row.name for row in others if row.values.get(rank) == best.values.get(rank)]
-    return [
-        _best_sentence(best, tied, definition),
-        *([_others_sentence(best, others, definition)] if others else []),
-        _certainty_sentence(best, tied, others[0], section, definition)
-        if others
-        else f"It is the only {ranked_kind(definition)}.",
-    ]
+    first = _best_sentence(best, tied, definition)
+    if not others:
+        return [first, f"It is the only {boards.ranked_kind(definition)}."]
+    certainty = _certainty_sentence(best, tied, others[0], section)
+    return [first, _others_sentence(best, others, definition), certainty]
 
 
-def scored_rows(section: Section, definition: BoardDefinition) -> list[Row]:
+def scored_rows(section: Section) -> list[Row]:
     """Rows of entries that the board orders, with its ranking score, best first."""
+    definition = section.task.board_definition
     rows = (row for row in section.rows if tables.is_ranked(row, definition))
     return [row for row in rows if row.values.get(definition.ranks_by) is not None]
 
@@ -167,15 +151,15 @@ def _memory(rows: Sequence[Row]) -> str:
 
 
 def _best_sentence(best: Row, tied: Sequence[str], definition: BoardDefinition) -> str:
-    key, forms = definition.ranks_by, column_forms(definition)
+    key, forms = definition.ranks_by, boards.column_forms(definition)
     low, high = best.values.get("low"), best.values.get("high")
     interval = tables.interval_text(low, high, forms[key])
     sure = "" if low is None else f", with 95\u00a0% confidence {interval}"
     scale = ", where an exact estimate has 0 and a flat road 1" if key == "nrmse" else ""
-    worst = best.values.get(WORST)
-    tail = "" if worst is None else f" On its worst drive it is {forms[WORST].text(worst)}."
+    worst = best.values.get(boards.WORST)
+    tail = "" if worst is None else f" On its worst drive it is {forms[boards.WORST].text(worst)}."
     error = forms[key].text(best.values[key])
-    among = " of the causal entries" * (ranked_kind(definition) != "entry")
+    among = " of the causal entries" * (boards.ranked_kind(definition) != "entry")
     is_best = f"has the lowest error{among}:" if tied else f"is best{among}: its error is"
     return f"{best.name} {is_best} {error}{scale}{sure}.{tail}"
 
@@ -185,7 +169,7 @@ def _others_sentence(best: Row, others: Sequence[Row], definition: BoardDefiniti
     key, second = definition.ranks_by, others[0]
 
     def score(row: Row) -> str:
-        return COLUMNS[key].text(row.values[key])
+        return boards.COLUMNS[key].text(row.values[key])
 
     text = f"{second.name} follows with {score(second)}"
     if (error := best.values[key]) and (behind := second.values[key]):
@@ -201,11 +185,9 @@ def _others_sentence(best: Row, others: Sequence[Row], definition: BoardDefiniti
     return f"{text}; the paper's network has {score(paper)}, {verdict} than a flat road."
 
 
-def _certainty_sentence(
-    best: Row, tied: Sequence[str], second: Row, section: Section, definition: BoardDefinition
-) -> str:
+def _certainty_sentence(best: Row, tied: Sequence[str], second: Row, section: Section) -> str:
     """Sentence on the first place: of those further down, the first may leave none behind."""
-    if best.values.get(rank_column(definition)) is None:
+    if best.values.get(boards.rank_column(section.task.board_definition)) is None:
         return "Too few roads for a rank or an interval: another road may give another order."
     if tied:
         names = ", ".join(tied)

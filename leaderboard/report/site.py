@@ -7,9 +7,9 @@
     static/                  style, scripts and the charts' library, shared by all pages
     export/                  the same for programs and papers
 
-Each page contains its data. Without scripts the tables are still there; filters and charts need
-them. The index is written last, so an interrupted build leaves the old one; pages of removed tasks
-and entries are deleted, and exports of removed boards.
+Each page contains its data; its tables need no scripts. The index is written last, so an
+interrupted build leaves the old one; pages of removed tasks and entries and exports of removed
+boards are deleted.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,33 +31,29 @@ from leaderboard.running.board import Board
 from road_envs.core.atomic_io import write_text
 
 _MAX_DRAWN = 8  # number of entries of a task that are drawn, best first
-_DIGITS = 5  # significant digits of a number, which sorts and draws; its text is what is read
 
 
 def write_site(board: Board, report: Report, out: Path) -> Path:
     """Write the site into `out`, each file atomically, and return its index."""
-    index = out / BOARD_PAGE
-    written = write_static(out)
+    index, written = out / BOARD_PAGE, set()
+    write_static(out)
     policies = (out / POLICY_PAGE).is_file()
     past = sorted(x.parent.name for x in out.glob(f"seasons/*/{BOARD_PAGE}"))
     for name, text in _render_pages(board, report, policies, past):  # the index comes last
         if name == index.name:
             export.write_exports(board, report.views, out)
         write_text(out / name, text)
-        written.append(name)
-    for path in [*out.glob("tasks/*.html"), *out.glob("estimators/*.html")]:
-        if f"{path.parent.name}/{path.name}" not in written:
-            path.unlink()
+        written.add(out / name)
+    for path in {*out.glob("tasks/*.html"), *out.glob("estimators/*.html")} - written:
+        path.unlink()
     return index
 
 
 def _render_pages(
     board: Board, report: Report, policies: bool = False, past: Sequence[str] = ()
 ) -> Iterator[tuple[str, str]]:
-    """Yield path and text of every page, the index last.
-
-    With `policies` the pages link to the comparison of policies beside them, and the index links to
-    the sites of the `past` seasons.
+    """Yield path and text of every page, with `policies` with links to their comparison; the index
+    comes last and links to the sites of the `past` seasons.
     """
     linked = {"board": True, "policies": policies}
     results: dict[str, list[tuple[Task, Result]]] = {}
@@ -70,8 +66,7 @@ def _render_pages(
             yield f"tasks/{task.name}.html", render("site/task.html", **linked, **values)
     for name, own in results.items():
         values = estimator_page.page_values(board, report.views, name, own)
-        page = render("site/estimator.html", **linked, **values)
-        yield f"estimators/{file_name(name)}", page
+        yield f"estimators/{file_name(name)}", render("site/estimator.html", **linked, **values)
     yield BOARD_PAGE, render("site/index.html", **linked, past=past, **_index(board, report))
 
 
@@ -81,16 +76,16 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
     boards = [(view, [_table(view, s) for s in view.sections]) for view in report.views]
     explained = {(c.label, c.help): c for _, made in boards for t in made for c in t["columns"]}
     view = report.views[0]
-    section, definition = view.sections[0], view.definition
+    section = view.sections[0]
     scored = [result for task in board.tasks for result in board.scored(task)]
     scored.sort(key=lambda result: result.estimator)
     return {
         "root": "",
         "section": section,
-        "ranking": overview.ranking_chart(section, definition),
-        "strip": overview.strip_chart(section, board.scored(section.task), definition),
-        "headline": headline(section, definition),
-        "ranked_by": definition.ranks_by,
+        "ranking": overview.ranking_chart(section),
+        "strip": overview.strip_chart(section, board.scored(section.task)),
+        "headline": headline(section),
+        "ranked_by": view.definition.ranks_by,
         "notice": isolation_notice(scored),
         "public": PUBLIC_ROADS if any(task.is_public for task in board.tasks) else None,
         "findings": report.findings,
@@ -105,9 +100,7 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
 
 
 def _table(view: BoardView, section: Section) -> dict[str, Any]:
-    """Return one table: its columns, and for the scripts the rows with their numbers over all runs
-    and over each group, each [number, text].
-    """
+    """Return a table: its columns, and for the scripts the rows by group, each [number, text]."""
     columns, ranks_by = tables.nonempty_columns(view, section), view.definition.ranks_by
     groups = dict.fromkeys(condition.label for condition in section.task.conditions)
     groups |= dict.fromkeys(name for names in section.groups.values() for name in names)
@@ -138,7 +131,7 @@ def _row_data(row: Row, forms: dict[str, Any]) -> dict[str, Any]:
         "cells": {key: row.cells[key] for key in TEXT_COLUMNS if row.cells.get(key)},
         "groups": {
             name: {
-                key: [rounded(x, _DIGITS), form.format_value(x)]
+                key: [rounded(x, 5), form.format_value(x)]  # it sorts and draws; the text is read
                 for key, form in forms.items()
                 if (x := values.get(key)) is not None
             }
@@ -162,7 +155,7 @@ def _task(board: Board, view: BoardView, section: Section) -> dict[str, Any]:
         "view": view,
         "score_table": _table(view, section),
         "task": task,
-        "charts": task_charts(task, view.definition, drawn, rows, on_level) if drawn else {},
+        "charts": task_charts(task, drawn, rows, on_level) if drawn else {},
         "notice": isolation_notice(scored),
         "public": PUBLIC_ROADS if task.is_public else None,
         "left_out": order[_MAX_DRAWN:],

@@ -1,9 +1,8 @@
 """Rows of the boards, as plain data for the terminal, the pages and the exports.
 
 Scores are interquartile means over roads, conditions and training seeds, and again over each
-condition and each family of roads alone. Every row has its numbers and their text; a failed or
-stale result is a row with a message and without scores. Ranks are given among all entries (offline
-division) and among the causal ones.
+condition and each family of roads alone. Ranks are given among all entries (offline division) and
+among the causal ones.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,46 +21,26 @@ from leaderboard.metrics.api import Metric
 from leaderboard.metrics.bootstrap import MIN_ROADS, Interval, Strata, count_roads
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.metrics.registry import SCORES
-from leaderboard.report.board_definitions import (
-    BELOW_BOUND,
-    LIMIT_ROWS,
-    RANK_COLUMNS,
-    TAIL,
-    WORST,
-    Column,
-    board_columns,
-    column_forms,
-    rank_column,
-    ranked_kind,
-)
+from leaderboard.report import board_definitions as boards
 from leaderboard.report.notes import section_notes
 from leaderboard.report.run_groups import ScoreSlice, run_groups
 from leaderboard.running.board import Board
 from road_envs.sensing.perturbed_vehicle import GRADES
 
 _RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
-_NO_TRAINING = 0.05  # time [s] up to which an entry without parameters has not trained
 TRAINING_STATES = ("near_optimal", "sub_optimal", "unstable")
 ALL_RUNS = ""  # name of the group of all runs
-
-SPECTRUM_SCORES = tuple(name for name in SCORES if name.startswith("error_at_"))
-"""Score keys of the third-octave errors."""
-
+SPECTRUM_SCORES = tuple(name for name in SCORES if name.startswith("error_at_"))  # third octaves
 _Values = dict[str, float | None]  # numbers by column; None where one is undefined
-
 _LIMITS = ("bound_nrmse", "attainable_nrmse")
-_BOUNDED = [[*SCORES].index(name) for name in ("nrmse", "bound_nrmse")]
-"""Positions of the error and of its bound among the scores."""
-
+_BOUNDED = [[*SCORES].index(name) for name in ("nrmse", "bound_nrmse")]  # the error and its bound
 _OF_DEVIATIONS = np.array([name.startswith(("crps", "coverage_")) for name in SCORES])
-"""Whether a score is one of the deviations that an entry gives."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One entry: `cells` (text) and `values` by column, or a `message` instead.
-
-    `groups` has the values again over each condition and each family of roads, by name.
+    """One entry: `cells` (text) and `values` by column, over all runs and, in `groups`, over each
+    group by name, or a `message` instead.
     """
 
     name: str
@@ -75,10 +54,8 @@ class Row:
 
 @dataclass(frozen=True)
 class Section:
-    """The rows of one task, best first, with notes for the reader.
-
-    Intervals and ranks need MIN_ROADS roads. `groups` names conditions and families if there is
-    more than one of a kind.
+    """The rows of one task, best first, with notes for the reader. `groups` names conditions,
+    families and others by kind if there is more than one.
     """
 
     task: Task
@@ -97,42 +74,37 @@ class BoardView:
 
 
 def board_views(board: Board) -> list[BoardView]:
-    """Return the boards that have a task: those of a season or of other roads that are not public
-    before others, then the main one.
-    """
+    """Return the boards that have a task: of roads that are not public first, then the main one."""
     definitions = {task.board_name: task.board_definition for task in board.tasks}
     sealed = {task.board_name for task in board.tasks if not task.is_public}
-
-    def view(name: str, definition: BoardDefinition) -> BoardView:
-        tasks = (task for task in board.tasks if task.board_name == name)
-        return BoardView(name, definition, tuple(_section(board, x, definition) for x in tasks))
-
     ordered = sorted(definitions.items(), key=lambda item: (item[0] not in sealed, item[1].order))
-    return [view(*item) for item in ordered]
-
-
-def nonempty_columns(view: BoardView, *sections: Section) -> list[Column]:
-    """Return the columns in which at least one row of the sections has a value."""
-    rows = [row for section in sections for row in section.rows]
+    of_board = {name: [x for x in board.tasks if x.board_name == name] for name in definitions}
     return [
-        column
-        for column in board_columns(view.board, view.definition)
-        if any(row.cells.get(column.key, "") not in ("", UNDEFINED) for row in rows)
+        BoardView(name, own, tuple(_section(board, task) for task in of_board[name]))
+        for name, own in ordered
     ]
 
 
-def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
-    groups = run_groups(task)
+def nonempty_columns(view: BoardView, *sections: Section) -> list[Metric]:
+    """Return the columns in which at least one row of the sections has a value."""
+    cells = [item for section in sections for row in section.rows for item in row.cells.items()]
+    shown = {key for key, text in cells if text not in ("", UNDEFINED)}
+    return [x for x in boards.board_columns(view.board, view.definition) if x.key in shown]
+
+
+def _section(board: Board, task: Task) -> Section:
+    groups, definition = run_groups(task), task.board_definition
     parts: dict[str, ScoreSlice] = {ALL_RUNS: (slice(None), slice(None))}
     parts |= {name: part for named in groups.values() for name, part in named.items()}
     scored = board.scored(task)
     on_level = level_runs(scored, definition)
-    tables = [_aggregate(result, task, definition, parts, on_level) for result in scored]
-    _rank(tables, parts, task.test.strata, definition)
+    tables = [_aggregate(result, task, parts, on_level) for result in scored]
+    _rank(tables, task, parts)
     rows = [_scored_row(x, definition, board.card(x.result)) for x in tables]
 
     def place(row: Row) -> tuple[bool, bool, float, float]:
-        rank, score = row.values.get(rank_column(definition)), row.values[definition.ranks_by]
+        rank = row.values.get(boards.rank_column(definition))
+        score = row.values[definition.ranks_by]
         outside = row.state != "scored", not is_ranked(row, definition)
         return *outside, rank or np.inf, np.inf if score is None else score
 
@@ -150,34 +122,25 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
 
 def is_ranked(row: Row, definition: BoardDefinition) -> bool:
     """Return whether a row is of an entry that its board orders."""
-    return row.state == "scored" and (bool(row.causal) or ranked_kind(definition) == "entry")
+    return row.state == "scored" and (bool(row.causal) or boards.ranked_kind(definition) == "entry")
 
 
-class _AggregatedScores(NamedTuple):
-    """Means of a result by group and score; `ranked` (R, C, S) holds the ranking score."""
-
+class _Averages(NamedTuple):  # by group and score; `ranked` (R, C, S) has the ranking score
     result: Result
     values: dict[str, _Values]
     ranked: np.ndarray
 
 
 def _aggregate(
-    result: Result,
-    task: Task,
-    definition: BoardDefinition,
-    parts: Mapping[str, ScoreSlice],
-    on_level: np.ndarray,
-) -> _AggregatedScores:
-    """Average the scores of a result over all runs and over each group.
-
-    Runs `on_level` (R, C) roads have no ranking score, which counts against no entry; one that
-    lacks it on another run has none at all.
+    result: Result, task: Task, parts: Mapping[str, ScoreSlice], on_level: np.ndarray
+) -> _Averages:
+    """Average the scores of a result over all runs and each group. Runs `on_level` (R, C) roads
+    have no ranking score, which counts against nobody; who lacks it elsewhere has none at all.
     """
     scores, strata = score_arrays(result.scores), task.test.strata
-    shown = (
-        {*definition.columns, *definition.on_request, *SPECTRUM_SCORES}
-        | {definition.ranks_by, *_LIMITS}
-    )  # fmt: skip
+    definition = task.board_definition
+    shown = {*definition.columns, *definition.on_request, definition.ranks_by}
+    shown |= {*SPECTRUM_SCORES, *_LIMITS}
     ranked = scores[[*SCORES].index(definition.ranks_by)]
     missing = np.isnan(scores) & np.isfinite(scores).any(axis=0) & ~on_level[:, :, None]
     is_unranked = missing[[*SCORES].index(definition.ranks_by)].any()
@@ -195,7 +158,7 @@ def _aggregate(
         below = np.mean(error[known] < bound[known]) if known.any() else None
         values[group] = _defined(
             {name: x for name, x in means.items() if group == ALL_RUNS or name in shown}
-            | {"low": score.low, "high": score.high, **_tail(own), BELOW_BOUND: below}
+            | {"low": score.low, "high": score.high, **_tail(own), boards.BELOW_BOUND: below}
         )
     values[ALL_RUNS] |= {
         "train_seconds": train_seconds(result),
@@ -205,7 +168,7 @@ def _aggregate(
         **_training_states(scores[[*SCORES].index(EQ_12_RAW)]),
         **_grade_scores(ranked, parts, strata),
     }
-    return _AggregatedScores(result, values, ranked)
+    return _Averages(result, values, ranked)
 
 
 def level_runs(scored: Sequence[Result], definition: BoardDefinition) -> np.ndarray:
@@ -221,15 +184,14 @@ def level_runs(scored: Sequence[Result], definition: BoardDefinition) -> np.ndar
 
 
 def train_seconds(result: Result) -> float | None:
-    """Return the mean time [s] of a training; None if it took none and left no parameters."""
+    """Return the mean time [s] of a training; None if it left no parameters within 0.05 s."""
     seconds = float(np.mean(result.train_seconds)) if result.train_seconds else 0.0
-    return seconds if result.parameters or seconds > _NO_TRAINING else None
+    return seconds if result.parameters or seconds > 0.05 else None
 
 
 def training_counts(results: Sequence[Result]) -> dict[str, int]:
-    """Return the number of training seeds by estimator, of those whose training depends on them.
-
-    One that was asked for several and has the runs of one depends on none.
+    """Return the number of training seeds by estimator, of those whose training depends on them:
+    not of one that was asked for several and has the runs of one.
     """
     return {
         result.estimator: len(result.seeds)
@@ -241,13 +203,13 @@ def training_counts(results: Sequence[Result]) -> dict[str, int]:
 
 
 def _tail(ranked: np.ndarray) -> dict[str, float | None]:
-    """Worst drive, of MIN_ROADS roads or more, and shares of drives above the limits of TAIL."""
+    """Worst drive, of MIN_ROADS roads or more, and shares of drives above each limit."""
     runs = ranked[~np.isnan(ranked)]
     if not runs.size:
-        return dict.fromkeys([WORST, *TAIL])
-    shares = {name: float(np.mean(runs > limit)) for name, limit in TAIL.items()}
+        return dict.fromkeys([boards.WORST, *boards.TAIL])
+    shares = {name: float(np.mean(runs > limit)) for name, limit in boards.TAIL.items()}
     worst = float(runs.max()) if count_roads(ranked) >= MIN_ROADS else None
-    return {WORST: worst, **shares}
+    return {boards.WORST: worst, **shares}
 
 
 def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: Strata) -> _Values:
@@ -264,43 +226,30 @@ def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: S
     return _defined(values)
 
 
-def _rank(
-    tables: Sequence[_AggregatedScores],
-    parts: Mapping[str, ScoreSlice],
-    strata: Strata,
-    definition: BoardDefinition,
-) -> None:
-    """Add the ranks in every group of MIN_ROADS roads, among all entries and the causal ones, or
-    among these alone if the board has no other division; none to an entry without the score there.
-    """
+def _rank(tables: Sequence[_Averages], task: Task, parts: Mapping[str, ScoreSlice]) -> None:
+    """Add the ranks by division in every group of MIN_ROADS roads; none without the score there."""
     by_name = {x.result.estimator: x for x in tables if x.result.role == "entry"}
     causal = {name: x for name, x in by_name.items() if x.result.causal}
     divisions = {"offline": by_name, "causal": causal}
-    if {*definition.divisions} == {"causal"}:
+    if {*task.board_definition.divisions} == {"causal"}:
         del divisions["offline"]
     for group, part in parts.items():
         for division, entries in divisions.items():
             every = {name: x.ranked[part] for name, x in entries.items()}
             scores = {name: x for name, x in every.items() if count_roads(x) >= MIN_ROADS}
-            within = strata if group == ALL_RUNS else None
+            within = task.test.strata if group == ALL_RUNS else None
             for name, rank in bootstrap.rank_entries(scores, strata=within).items():
-                by_name[name].values[group][RANK_COLUMNS[division]] = rank
+                by_name[name].values[group][boards.RANK_COLUMNS[division]] = rank
 
 
-def _scored_row(
-    table: _AggregatedScores, definition: BoardDefinition, card: EstimatorCard | None
-) -> Row:
+def _scored_row(table: _Averages, definition: BoardDefinition, card: EstimatorCard | None) -> Row:
     result, mine = table.result, table.values[ALL_RUNS]
-    entry, forms = result.role == "entry", column_forms(definition)
-    cells = {
-        name: forms[name].format_value(x)
-        for name, x in {**dict.fromkeys(RANK_COLUMNS.values()), **mine}.items()
-        if name in forms
-    }
+    entry, forms = result.role == "entry", boards.column_forms(definition)
+    known = dict.fromkeys(boards.RANK_COLUMNS.values()) | mine
+    cells = {name: forms[name].format_value(x) for name, x in known.items() if name in forms}
+    slope = mine.get("slope_low"), mine.get("slope_high")
     cells |= {
-        "slope_interval": interval_text(
-            mine.get("slope_low"), mine.get("slope_high"), forms["slope"]
-        ),
+        "slope_interval": interval_text(*slope, forms["slope"]),
         "interval": interval_text(mine["low"], mine["high"], forms[definition.ranks_by]),
         "states": "/".join(f"{mine[x]:.0f}" for x in TRAINING_STATES if x in mine),
         "probes": count_passed(card.probes) if card else "",
@@ -311,10 +260,10 @@ def _scored_row(
     return Row(result.estimator, state, cells, mine, causal=result.causal, groups=groups)
 
 
-def _bound_rows(tables: Sequence[_AggregatedScores], definition: BoardDefinition) -> list[Row]:
+def _bound_rows(tables: Sequence[_Averages], definition: BoardDefinition) -> list[Row]:
     """Return the rows of bound and attainable error, as far as computed, if NRMSE ranks."""
     rows = []
-    for name, key in zip(LIMIT_ROWS, _LIMITS, strict=True):
+    for name, key in zip(boards.LIMIT_ROWS, _LIMITS, strict=True):
         for values in (x.values for x in tables if definition.ranks_by == "nrmse"):
             groups = {group: {"nrmse": x.get(key)} for group, x in values.items()}
             if any(x["nrmse"] is not None for x in groups.values()):
@@ -331,9 +280,7 @@ def _mean(scores: np.ndarray) -> np.ndarray:
 
 
 def _unknown_limits(scores: np.ndarray) -> dict[str, float]:
-    """Return NaN for each limit of the NRMSE that some drives (K, R, C, S) lack: its mean would be
-    of others than that of the NRMSE beside it.
-    """
+    """Return NaN for each limit that some drives lack: the NRMSE beside it would be of others."""
     driven = np.isfinite(scores[_BOUNDED[0]])
     lacking = (np.isnan(scores[[*SCORES].index(name)]) & driven for name in _LIMITS)
     return {name: np.nan for name, x in zip(_LIMITS, lacking, strict=True) if x.any()}

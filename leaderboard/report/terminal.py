@@ -15,16 +15,14 @@ from leaderboard.report.sentences import Report
 from leaderboard.report.tables import BoardView, Row, Section, nonempty_columns
 
 _CASE_WIDTH = 18  # width of the column with the titles of the tasks that share a table [characters]
-
 _LOOK: Any = {"title_justify": "left", "box": None, "padding": (0, 1, 0, 0), "pad_edge": False}
 _STYLES = dict(scored="bold", baseline="dim", claim="italic", failed="red", stale="yellow")
 _LEGEND = (
     "NRMSE: error over truth, RMS, in 0.2 to min(1.8, 22.5 Hz / v) cycles/m; a flat road has 1. "
     "Interquartile means over roads and trainings; worst: the worst drive; > 0.3, > 1: shares of "
-    f"drives above. The row bound is the {BOUND_NAME}. "
-    "eq. 12: error of the RMS level alone, as printed, and about the mean; it is that of the "
-    "longest waves, which kalman_lag for one cuts off. "
-    "Rank: the place by score, shared unless more entries are significantly better. No rank, "
+    f"drives above. The row bound is the {BOUND_NAME}. eq. 12: error of the RMS level alone, as "
+    "printed, and about the mean; it is that of the longest waves, which kalman_lag for one cuts "
+    "off. Rank: the place by score, shared unless more entries are significantly better. No rank, "
     "interval or worst drive from fewer than 5 roads. Dim rows: baselines. 5/5 beside a name: "
     "probes passed, of those that apply (--probes)."
 )

@@ -17,12 +17,10 @@ _EXTRA = re.compile(r"""extra\s*==\s*["']([\w.-]+)["']""")
 
 
 def missing_packages(code: Path) -> list[str]:
-    """Return a sentence for each module that the code of an entry imports, and that is none of its
-    own, of Python, or of what boards install.
-
-    `code` is a wheel, or a folder with one or with installed packages. What is imported only if it
-    can be (`try`, `suppress`), by a function, for types alone, or by a module whose source is
-    longer than 1 MiB, does not count. Raises EntryError as `imports_of`.
+    """Return a sentence for each module that `code`, a wheel or a folder with one or with installed
+    packages, imports, and that is none of its own, of Python, or of what boards install. What is
+    imported only if it can be (`try`, `suppress`), by a function, for types alone, or by a module
+    whose source is longer than 1 MiB, does not count. Raises EntryError as `imports_of`.
     """
     wheel = code if code.is_file() else next(code.glob("*.whl"), None)
     found, modules = list[str](), [x.module for x in entry_points(wheel or code)]
@@ -63,9 +61,7 @@ def _file_of(module: str, files: Path | zipfile.Path) -> Path | zipfile.Path | N
 
 
 def _installed_by_boards() -> set[str]:
-    """Distributions that the project with `EXTRAS` requires, and itself; markers of platforms and
-    versions are not asked.
-    """
+    """Distributions that the project with `EXTRAS` requires, on any platform, and itself."""
     found = {PROJECT}
     left: list[tuple[str, tuple[str, ...]]] = [(PROJECT, EXTRAS)]
     while left:

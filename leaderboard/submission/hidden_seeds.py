@@ -6,8 +6,7 @@
 
 A record tells its seed to who tries them all, as its first sample is noise alone, so there are too
 many; and its seed tells a salt that can be guessed, so each guess takes a slow hash. The commitment
-fixes seeds, tasks and number of roads without disclosing the seeds. Once the salt
-is published, beside the tasks, anyone can draw the same seeds and compare.
+fixes seeds, tasks and number of roads; once the salt is published, anyone can draw and compare.
 """
 
 import dataclasses
@@ -33,10 +32,9 @@ from road_envs.core.reading import parsing, regular
 
 COMMITMENT, SALT = "commitment.json", "salt.txt"
 _AS_GIVEN = ("utf-8", "surrogateescape")  # a salt may be any bytes
+# characters and bytes of a salt: a shorter one could be found by brute force, and scrypt takes a
+# longer one for its digest, which would be a second salt with other seeds
 _SALT_LENGTHS = range(12, 65)
-"""Numbers of characters and bytes of a salt: a shorter one could be found by brute force, and
-scrypt takes a longer one for its digest, which would be a second salt with other seeds.
-"""
 
 SEEDS_ALONE = (
     "Only the seeds are known to be those of before the entries: roads, cars and speeds are of a "
@@ -56,15 +54,13 @@ class _HiddenSeeds(Settings):
     format: Literal[2] = 2
     package_version: str
     tasks: dict[str, str]
-    roads: dict[str, int]
-    """Number of seeds by task."""
+    roads: dict[str, int]  # number of seeds by task
     commitment: str = ""
 
 
 def commit(salt: str, tasks: Sequence[Task]) -> _HiddenSeeds:
-    """Return the hidden test set of a secret `salt`, after a trial of revealing it.
-
-    Raises ConfigError for a short salt and for a task that could not be revealed, or driven here.
+    """Return the hidden test set of a secret `salt`, after a trial of revealing it. Raises
+    ConfigError for a short salt and for a task that could not be revealed, or driven here.
     """
     hidden = _HiddenSeeds(
         package_version=package_version(),
@@ -97,30 +93,26 @@ def load(folder: Path) -> _HiddenSeeds:
 
 def reveal(salt: str, folder: Path) -> list[Path]:
     """Verify `salt` against the commitment in `folder`; write the tasks there as YAML, and itself.
-
     Raises ConfigError if the salt does not match or the public tasks have changed.
     """
     hidden = load(folder)
     if _commitment(salt, hidden) != hidden.commitment:
         raise ConfigError(f"{folder / COMMITMENT}: the salt does not match the commitment")
-    written = []
-    for data in [_hidden_task(salt, hidden, name) for name in hidden.tasks]:
-        path = folder / f"{data['name']}.yaml"
+    tasks = [_hidden_task(salt, hidden, name) for name in hidden.tasks]
+    written = [folder / f"{data['name']}.yaml" for data in tasks]
+    for path, data in zip(written, tasks, strict=True):
         write_text(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True))
         load_task(path)
-        written.append(path)
     with atomic_write(folder / SALT) as partial:
         partial.write_bytes(salt.encode(*_AS_GIVEN))
     return written
 
 
 def check_revealed(path: Path, root: Path) -> str:
-    """Return a note on the task `path` if only its seeds are fixed by the commitment beside it, or
-    if they vary no surface.
-
-    The first is so if the public task was another one in the package of the commitment, by its
-    word. Raises ConfigError if it is not the commitment of its roads, or if the one that its name
-    has stands in a folder above, up to `root`.
+    """Return a note on the task `path` if only its seeds are fixed by the commitment beside it, as
+    by its word the public task was another one in its package, or if they vary no surface. Raises
+    ConfigError if it is not the commitment of its roads, or if the one that its name has stands in
+    a folder above, up to `root`.
     """
     folder = path.parent
     for above in (x for x in folder.parents if x.is_relative_to(root)):
@@ -134,7 +126,7 @@ def check_revealed(path: Path, root: Path) -> str:
         salt = regular(folder / SALT).read_bytes().decode(*_AS_GIVEN)
     if _commitment(salt, hidden) != hidden.commitment:
         raise ConfigError(f"{folder / SALT}: the salt does not match the commitment")
-    name = {_season_name(task, hidden): task for task in hidden.tasks}.get(path.stem)
+    name = {f"{x}_{hidden.commitment[:8]}": x for x in hidden.tasks}.get(path.stem)
     public = None if name is None else load_task(name)
     if public is None or not _is_drawn(path, salt, hidden, public):
         raise ConfigError(f"{path}: it is no task of the commitment in {folder / COMMITMENT}")
@@ -159,10 +151,9 @@ def _is_drawn(path: Path, salt: str, hidden: _HiddenSeeds, public: Task) -> bool
 
 
 def _hidden_task(salt: str, hidden: _HiddenSeeds, name: str) -> dict[str, Any]:
-    """Return the YAML object of a task with its hidden seeds, on all of whose roads it is driven.
-
-    A design, which assigns the public drives to conditions, is repeated over the hidden ones.
-    Raises ConfigError if the public task has changed.
+    """Return the YAML object of a task with its hidden seeds, on all of whose roads it is driven; a
+    design, which assigns the public drives to conditions, is repeated over the hidden ones. Raises
+    ConfigError if the public task has changed.
     """
     task = load_task(name)
     if task.digest != hidden.tasks[name]:
@@ -179,12 +170,9 @@ def _hidden_task(salt: str, hidden: _HiddenSeeds, name: str) -> dict[str, Any]:
             [block * k + index for k in range(repeats) for index in indices]
             for indices in task.test.design
         ]
-    title = f"{task.title}; season {hidden.commitment[:8]}"
-    return {**data, "name": _season_name(task.name, hidden), "title": title, "test": test}
-
-
-def _season_name(task: str, hidden: _HiddenSeeds) -> str:
-    return f"{task}_{hidden.commitment[:8]}"
+    season = hidden.commitment[:8]
+    named = {"name": f"{task.name}_{season}", "title": f"{task.title}; season {season}"}
+    return {**data, **named, "test": test}
 
 
 def _seeds(salt: str, hidden: _HiddenSeeds, task: Task, digest: str, count: int) -> list[int]:
@@ -208,8 +196,7 @@ def _commitment(salt: str, hidden: _HiddenSeeds) -> str:
             f"{_SALT_LENGTHS[-1]} bytes, none of them 0; got {len(salt)} characters"
         )
     fields = {**dataclasses.asdict(hidden), "commitment": ""}
-    text = json.dumps(fields, sort_keys=True).encode()
-    return _slow_hash(word, text).hex()
+    return _slow_hash(word, json.dumps(fields, sort_keys=True).encode()).hex()
 
 
 def _slow_hash(word: bytes, salt: bytes) -> bytes:

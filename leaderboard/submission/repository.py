@@ -30,7 +30,7 @@ from road_envs.core.config import ConfigError
 
 PUBLISH = "https://OWNER.github.io/REPOSITORY/ (once: Settings, Pages, Source: GitHub Actions)"
 _SUBMISSIONS = "submissions"
-_TEMPLATE = {
+_TEMPLATE = {  # files of a new results repository, and what they are made from
     "README.md": "readme.txt",
     RULES: "rules.txt",
     "ci/verify.sh": "verify.txt",
@@ -41,14 +41,12 @@ _TEMPLATE = {
     ".gitignore": "gitignore.txt",
     ".gitattributes": "gitattributes.txt",
 }
-"""Files of a new results repository, and the templates that they are made from."""
 
 
 def write_repository(folder: Path, package: str | None = None) -> list[Path]:
-    """Write a results repository into a new or empty folder (a .git may be there); its files.
-
-    `package` is what its CI gives to pip, by default the release of this version. Raises
-    ConfigError for a folder with files, and a `package` that is not one line without quotes.
+    """Write a results repository into a new or empty folder (a .git may be there); its files. Their
+    CI gives `package` to pip, by default the release of this version. Raises ConfigError for a
+    folder with files, and a `package` that is not one line without quotes.
     """
     package = package or f"{PROJECT}[{','.join(EXTRAS)}]=={package_version()}"
     if not package.isprintable() or set(package) & set("'\"`"):
@@ -70,13 +68,10 @@ def build_site(
     workers: int = 1,
     progress: Callable[[str, float], None] = lambda text, share: None,
 ) -> Path:
-    """Run the entries of all submissions of a repository and write their site into the new or empty
-    folder `out`; its index.
-
-    What a site shows was found by its builder, on one machine: rows that submissions say count for
-    nothing here. It has copies of the sites of past seasons, unless it becomes one itself. An entry
-    that cannot be run has a row with the reason. Raises ConfigError for a damaged submission, if
-    there is none, and if `out` has files.
+    """Run the entries of all submissions of a repository, whose own rows count for nothing here,
+    and write their site into the new or empty folder `out`; its index. It has copies of the sites
+    of past seasons, unless it becomes one itself, and a row with the reason of an entry that cannot
+    be run. Raises ConfigError for a damaged submission, if there is none, and if `out` has files.
     """
     rules, tasks = load_rules(repository / RULES)
     folders = sorted(path.parent for path in (repository / _SUBMISSIONS).glob("*/submission.json"))
@@ -103,10 +98,8 @@ def build_site(
 
 
 def _entry_of(folder: Path, sandbox: SandboxClient) -> Entry:
-    """Return the entry of a submission under the name of its folder, whose card it has.
-
-    Its code can fail, or call itself otherwise, from some day on: a failure of its own row, so that
-    others have theirs.
+    """Return the entry of a submission under the name of its folder, whose card it has; if its code
+    fails or calls itself otherwise, from some day on, it is a failure of its own row.
     """
     entry, name = submitted_entry(folder, sandbox), folder.resolve().name
     if fold(name) in RESERVED:

@@ -22,17 +22,14 @@ RECORD = "submission.json"
 
 
 def signer(key: Path) -> Callable[[Path], str]:
-    """Return what signs the record in a folder with a private key, which is made if it does not
+    """Return a function that signs the record in a folder with a private `key`, made if it does not
     exist, and returns the public one. Raises ConfigError for a file that is no key.
     """
-    ed25519, serialization = _library()
+    ed25519, serialization, _ = _library()
     if not key.exists():
         made = ed25519.Ed25519PrivateKey.generate()
-        text = made.private_bytes(
-            serialization.Encoding.PEM,
-            serialization.PrivateFormat.PKCS8,
-            serialization.NoEncryption(),
-        )
+        form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
+        text = made.private_bytes(*form, serialization.NoEncryption())
         with os.fdopen(os.open(key, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
             file.write(text)
     with parsing(key, ConfigError, "not a private key in PEM format"):
@@ -52,19 +49,16 @@ def signer(key: Path) -> Callable[[Path], str]:
 
 def verify(folder: Path) -> str | None:
     """Return the public key that has signed the record in `folder`; None if it is not signed.
-
     Raises ConfigError for a signature that is not valid.
     """
     path = folder / FILE
     if not path.exists():
         return None
-    ed25519, _ = _library()
+    ed25519, _, InvalidSignature = _library()
     with parsing(path, ConfigError, "damaged, not a signature"):
         data = json.loads(regular(path).read_text(encoding="utf-8"))
         public = ed25519.Ed25519PublicKey.from_public_bytes(bytes.fromhex(data["key"]))
         signature = bytes.fromhex(data["signature"])
-    from cryptography.exceptions import InvalidSignature
-
     try:
         public.verify(signature, (folder / RECORD).read_bytes())
     except InvalidSignature:
@@ -82,8 +76,9 @@ def check_owner(folder: Path, replaces: Path | None) -> None:
         )
 
 
-def _library() -> tuple[Any, Any]:
+def _library() -> tuple[Any, Any, Any]:
     with optional_import("a signature"):
+        from cryptography.exceptions import InvalidSignature
         from cryptography.hazmat.primitives import serialization
         from cryptography.hazmat.primitives.asymmetric import ed25519
-    return ed25519, serialization
+    return ed25519, serialization, InvalidSignature

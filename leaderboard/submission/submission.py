@@ -40,13 +40,8 @@ from road_envs.core.config import ConfigError, Settings, build
 SUBMISSION = Kind("submission", 1)
 RECORD, CARD = signature.RECORD, "card.yaml"
 _PARTS = "jobs"
-_UNSEALED = (RECORD, signature.FILE)  # files whose digests the record does not hold
-
-SUBMISSION_SHARE = 1.0
-"""Share of the drives of a submission that are run again: a verification of some could be repeated
-until it misses the drives that were forged.
-"""
-
+# a verification of some drives could be repeated until it misses those that were forged
+SUBMISSION_SHARE = 1.0  # of the drives are run again
 _Progress = Callable[[str, float], None]
 
 
@@ -59,8 +54,7 @@ class _Submission(Settings):
     package_version: str
     hardware: dict[str, str]
     cpu_seconds: float
-    files: dict[str, str]
-    """SHA-256 of each file, by its path in the folder."""
+    files: dict[str, str]  # SHA-256 of each file, by its path in the folder
 
 
 def make_submission(
@@ -73,7 +67,6 @@ def make_submission(
     progress: _Progress = lambda text, share: None,
 ) -> tuple[_Submission, Board]:
     """Check an entry, run it by the `rules` and write the folder of its submission; with its board.
-
     What was driven before it was stopped or failed is not driven again. Raises ConfigError for a
     card that is not filled in, packages that boards lack, a failed check, a failed row, and a
     folder that exists or that another process makes.
@@ -118,10 +111,8 @@ def load_submission(folder: Path) -> _Submission:
             f"{folder}: the folder must have the name of its entry, {record.name!r}, which has up "
             "to 40 letters, digits, _ and -"
         )
-    for name in sorted(found.keys() ^ record.files.keys()):
-        raise ConfigError(
-            f"{folder / name}: {'not ' if name in found else 'missing, '}of the record"
-        )
+    for x in sorted(found.keys() ^ record.files.keys()):
+        raise ConfigError(f"{folder / x}: {'not ' if x in found else 'missing, '}of the record")
     for name in sorted(found):
         if found[name] != record.files[name]:
             raise ConfigError(
@@ -142,11 +133,9 @@ def verify_submission(
     replaces: Path | None = None,
     progress: _Progress = lambda text, share: None,
 ) -> list[Verified]:
-    """Verify a submission: files, card, signature, code, rows, and a `share` of its drives again.
-
-    `replaces` is the folder of the submission as it stood before; its signer must have signed this
-    one. Returns what was found of every row. Raises ConfigError for a submission that is not
-    complete or not by the `rules`; a row that differs is returned.
+    """Verify files, card, signature, code, rows, and a `share` of the drives of a submission, which
+    the signer of `replaces`, its folder as it stood before, must have signed; what was found of
+    every row, also of one that differs. Raises ConfigError if it is not complete or not by `rules`.
     """
     record = load_submission(folder)
     signature.check_owner(folder, replaces)
@@ -245,14 +234,14 @@ def _keeping_parts(folder: Path, parts: Path) -> Iterator[Callable[[], float]]:
 
 
 def _digests(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file of a submission but its record, by its path in the folder."""
+    """SHA-256 of every file of a submission but record and signature, by its path in the folder."""
     digests = {}
     for top, folders, names in os.walk(folder):
         for path in [Path(top), *(Path(top, name) for name in (*folders, *names))]:
             if path.is_symlink() or not (path.is_file() or path.is_dir()):
                 raise ConfigError(f"{path}: a submission has no links, pipes and devices")
         for path in (Path(top, name) for name in names):
-            if (place := path.relative_to(folder).as_posix()) not in _UNSEALED:
+            if (place := path.relative_to(folder).as_posix()) not in (RECORD, signature.FILE):
                 digests[place] = hashlib.sha256(path.read_bytes()).hexdigest()
     return digests
 

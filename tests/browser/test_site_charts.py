@@ -146,8 +146,11 @@ def test_a_score_in_percent_is_drawn_in_percent():
     (view,) = [v for v in board_views(board()) if v.board == "new_road"]
     values = {"level_error": 0.2, "low": 0.1, "high": 0.5}
     rows = (Row("mine", "scored", {}, values), Row("flat", "baseline", {}, {"level_error": 0.4}))
-    section = dataclasses.replace(view.sections[0], rows=rows)
-    drawn = ranking_chart(section, dataclasses.replace(view.definition, ranks_by="level_error"))
+    definition = dataclasses.replace(view.definition, ranks_by="level_error")
+    section = dataclasses.replace(
+        view.sections[0], rows=rows, task=dataclasses.replace(tasks()[0], board=definition)
+    )
+    drawn = ranking_chart(section)
     (bars,), layout = drawn["figures"][""]["data"], drawn["layout"]
     assert bars["x"] == [20.0] and ">20.0<" in bars["y"][0]
     assert (bars["error_x"]["arrayminus"], bars["error_x"]["array"]) == ([10.0], [30.0])
@@ -160,9 +163,9 @@ def test_a_ranking_of_bad_entries_only_is_drawn_too():
     row = Row("bad", "scored", {}, {"nrmse": 70.0})
     (view,) = [v for v in board_views(board()) if v.board == "new_road"]
     section = dataclasses.replace(view.sections[0], rows=(row,))
-    chart = ranking_chart(section, view.definition)
+    chart = ranking_chart(section)
     assert chart["layout"]["xaxis"]["range"] == [0.0, view.definition.scale]
-    assert ranking_chart(dataclasses.replace(section, rows=()), view.definition) is None
+    assert ranking_chart(dataclasses.replace(section, rows=())) is None
 
 
 def test_the_headline_names_best_next_and_certainty():
@@ -175,8 +178,8 @@ def test_the_headline_names_best_next_and_certainty():
 
 
 def test_the_first_place_is_not_decided_where_another_entry_shares_it():
-    (section, *_), definition = board_views(board())[0].sections, board_views(board())[0].definition
-    assert headline(section, definition)[0].startswith("reader is best: its error is ")
+    section, *_ = board_views(board())[0].sections
+    assert headline(section)[0].startswith("reader is best: its error is ")
     for rank in (1, None):  # or where there are too few roads
         rows = [
             dataclasses.replace(row, values={**row.values, "rank": rank})
@@ -184,22 +187,22 @@ def test_the_first_place_is_not_decided_where_another_entry_shares_it():
             else row
             for row in section.rows
         ]
-        first, *_, last = headline(dataclasses.replace(section, rows=rows), definition)
+        first, *_, last = headline(dataclasses.replace(section, rows=rows))
         assert first.startswith("reader has the lowest error: ")
         tied = "The first place is not decided: these drives cannot tell static_lm from it."
         assert last == tied if rank else last.startswith("Too few roads")
 
 
 def test_nothing_is_a_multiple_of_an_exact_estimate():
-    (section, *_), definition = board_views(board())[0].sections, board_views(board())[0].definition
-    assert "times as much" in headline(section, definition)[1]
+    section, *_ = board_views(board())[0].sections
+    assert "times as much" in headline(section)[1]
     rows = [
         dataclasses.replace(row, values=row.values | {"nrmse": 0.0})
         if row.name == "reader"
         else row
         for row in section.rows
     ]
-    _, others, *_ = headline(dataclasses.replace(section, rows=rows), definition)
+    _, others, *_ = headline(dataclasses.replace(section, rows=rows))
     assert "static_lm follows with" in others and "times as much" not in others
 
 
@@ -325,7 +328,7 @@ def test_a_flat_estimate_can_be_drawn():
     flat = {"flat": next(r for r in results()["paving"] if r.estimator == "flat")}
     (view,) = [v for v in board_views(board()) if v.board == "paper"]
     rows = {row.name: row for row in view.sections[0].rows}
-    made = task_charts(tasks()[1], view.definition, flat, rows, np.zeros((1, 1), bool))["density"]
+    made = task_charts(tasks()[1], flat, rows, np.zeros((1, 1), bool))["density"]
     (figure,) = made["figures"].values()
     assert set(lines_by_name(figure)["flat"]["y"]) == {None}
 

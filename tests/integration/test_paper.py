@@ -28,7 +28,9 @@ TRAININGS = 3
 
 def drawn_figure(figure):
     with matplotlib.rc_context(plots._SVG_STYLE):
-        return plots._make_figure(figure.paint, figure.size)
+        with plots.new_figure(figure.size) as made:
+            figure.paint(made)
+        return made
 
 
 driven = []

@@ -1,6 +1,7 @@
 """Scores of profiles and obstacles against closed forms, on roads drawn in this file."""
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -245,12 +246,16 @@ def test_octaves_above_the_low_pass_are_not_scored():
     y = road(10, 300.0)
     n, G = displacement_psd(y, DS)
     wrong = G * np.where(n > 1.5, 100.0, 1.0)
-    assert not roughness._class_differences(n, G, wrong, v=15.0).any()
-    assert (roughness._class_differences(n, G, wrong, v=4.0) == [0, 0, 0, 3]).all()
+
+    def steps(G_a, v):
+        return roughness._class_steps(SimpleNamespace(densities=(n, (G, G_a, G)), v=v))
+
+    assert not steps(wrong, v=15.0).any()
+    assert (steps(wrong, v=4.0) == [0, 0, 0, 3]).all()
     # at 18 m/s the low-pass ends at 1.25 cycles/m, inside the octave from 0.71 to 1.41
-    cut = roughness._class_differences(n, G, G * np.where(n > 0.71, 100.0, 1.0), v=18.0)
+    cut = steps(G * np.where(n > 0.71, 100.0, 1.0), v=18.0)
     assert cut.shape == (2, 2) and not cut.any()
-    assert roughness._class_differences(n, G, G, v=80.0).shape == (2, 0)
+    assert steps(G, v=80.0).shape == (2, 0)
 
 
 def test_the_iri_error_is_averaged_over_segments_of_100_m():

@@ -290,7 +290,7 @@ def test_a_board_of_causal_entries_alone_gives_others_no_place(roads):
         for r in run_task(t, entries, (1,), simulate=fake_drives)
     ]
     report = build_report(Board((t,), {"small": made}))
-    (view,), ((section,),) = report.views, [view.sections for view in report.views]
+    ((section,),) = [view.sections for view in report.views]
     rows = {row.name: row for row in section.rows if row.state == "scored"}
     assert [*rows] == ["online", "slow", "offline"]
     assert rows["offline"].values["nrmse"] < rows["online"].values["nrmse"]
@@ -298,7 +298,7 @@ def test_a_board_of_causal_entries_alone_gives_others_no_place(roads):
     assert ranks == ([1, 2, None] if roads == 5 else [None] * 3)
     (exported,) = as_json(report.views)
     assert not any("rank" in entry for entry in exported["entries"])
-    first, _, last = headline(section, view.definition)
+    first, _, last = headline(section)
     assert first.startswith("online is best of the causal entries: its error is") == (roads == 5)
     assert last.startswith(
         "The first place is decided: resampling the roads leaves slow, which is next, behind."
@@ -306,10 +306,10 @@ def test_a_board_of_causal_entries_alone_gives_others_no_place(roads):
         else "Too few roads"
     )
     assert "offline" not in str(report.findings)
-    bars = ranking_chart(section, view.definition)
+    bars = ranking_chart(section)
     assert "online" in str(bars) and "slow" in str(bars) and "offline" not in str(bars)
     alone = dataclasses.replace(section, rows=(rows["online"], rows["offline"]))
-    assert headline(alone, view.definition)[1] == "It is the only causal entry."
+    assert headline(alone)[1] == "It is the only causal entry."
 
 
 def printed(width):
