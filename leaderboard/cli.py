@@ -125,7 +125,11 @@ class _Roads(_LazyGroup):
     """List, plot and export roads."""
 
     sections: ClassVar[Sections] = {
-        "Commands": {"list": "roads:list_roads", "plot": "roads:plot_road", "export": "roads:export"}
+        "Commands": {
+            "list": "roads:list_roads",
+            "plot": "roads:plot_road",
+            "export": "roads:export",
+        }
     }
 
 

@@ -22,7 +22,6 @@ from road_envs.core.config import ConfigError
 
 console = Console(markup=False, emoji=False)
 notices = Console(stderr=True, markup=False, emoji=False)
-
 PICTURES, YAML = (".png", ".svg", ".pdf"), (".yaml", ".yml")  # suffixes of output paths
 
 

@@ -22,7 +22,6 @@ from road_envs.vehicle.suspension import encode_command
 _Grade = Annotated[
     str, option("Grade of the perturbed vehicle: S0 (as described) to S4; the seed draws it.")
 ]
-
 _Plant = Annotated[
     str,
     option(
