@@ -115,9 +115,7 @@ class TaskArrays:
 
     @property
     def identity(self) -> str:
-        """Name and digest of the task with these test drives, and the version of the code that made
-        them: tables name all.
-        """
+        """Name and digest of the task with these test drives, and version of the code behind."""
         return f"{self.name}-{self._data[0].task.digest[:12]}-{results.evaluation_version()}"
 
 
@@ -137,8 +135,8 @@ def load_task(
         if isinstance(made, str):
             raise ConfigError(f"{chosen.name}: {made}")
         data.append(made)
-    training = tuple(_arrays(part, drive, True) for part in data for drive in part.training)
-    test = tuple(_arrays(part, drive, False) for part in data for drive in part.tests)
+    training = tuple(_arrays(x, drive.record, drive.truth) for x in data for drive in x.training)
+    test = tuple(_test_arrays(x, drive) for x in data for drive in x.tests)
     return TaskArrays(chosen.name, training, test, asdict(chosen.vehicle), tuple(data))
 
 
@@ -179,25 +177,19 @@ def _sized(task: str | Path | Task, roads: int | None) -> Task:
     return chosen if roads is None else chosen.with_test_drives(roads)
 
 
-def _arrays(data: ConditionData, drive: RecordedDrive, has_truth: bool) -> dict[str, Any]:
-    car = asdict(data.task.vehicle_of(data.condition))
-    label = data.condition.label
-    if has_truth:
-        return _of_record(label, drive.record, car, drive.truth)
-    earlier = [_of_record(label, x.record, car, x.profile) for x in drive.calibration]
-    return {**_of_record(label, drive.record, car, None), "calibration": earlier}
+def _test_arrays(data: ConditionData, drive: RecordedDrive) -> dict[str, Any]:
+    earlier = [_arrays(data, x.record, x.profile) for x in drive.calibration]
+    return _arrays(data, drive.record, None) | {"calibration": earlier}
 
 
-def _of_record(
-    condition: str, record: Record, car: dict[str, Any], profile: Profile | None
-) -> dict[str, Any]:
+def _arrays(data: ConditionData, record: Record, profile: Profile | None) -> dict[str, Any]:
     names = ("t", "a", "v", "s", "spring_stiff", "damper_high")
     return {
-        "condition": condition,
+        "condition": data.condition.label,
         "channels": record.channels,
         **{name: getattr(record, name) for name in names},
         "stations": profile_stations(record.length),
-        "vehicle": car,
+        "vehicle": asdict(data.task.vehicle_of(data.condition)),
         **({"z": profile.z} if profile is not None else {}),
     }
 

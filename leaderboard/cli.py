@@ -20,13 +20,10 @@ from typer.core import TyperCommand, TyperGroup
 
 from road_envs import __version__
 
-_INTERRUPTED = 130  # exit status after SIGINT: 128 and the number of the signal, as shells have it
-
-_PACKAGE = "leaderboard.commands"
-
 Sections = Mapping[str, Mapping[str, str | type]]
-"""Commands by name, by heading of the help: "module:function" of _PACKAGE, or a _LazyGroup."""
-
+"""Commands by name, by heading of the help: "module:function" of `leaderboard.commands`, or a
+_LazyGroup.
+"""
 
 OPTION_SECTIONS = {
     "Drive": ("road", "speed_kmh", "mode", "length", "vehicle", "sensors", "grade"),
@@ -49,11 +46,9 @@ class _SectionedCommand(TyperCommand):
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the sections."""
-        titles = ("Arguments", "Options", *OPTION_SECTIONS)
-        sections: dict[str, list[tuple[str, str]]] = {title: [] for title in titles}
+        sections: dict[str, list[Any]] = {x: [] for x in ("Arguments", "Options", *OPTION_SECTIONS)}
         for parameter in self.get_params(ctx):
-            record = parameter.get_help_record(ctx)
-            if record is not None:
+            if (record := parameter.get_help_record(ctx)) is not None:
                 is_option = parameter.param_type_name == "option"
                 title = _SECTION_OF.get(parameter.name, "Options") if is_option else "Arguments"
                 sections[title].append(record)
@@ -71,8 +66,7 @@ class _LazyGroup(TyperGroup):
     def __init__(self, *args: Any, **settings: Any):
         super().__init__(*args, **settings)
         # names only, for listing and for suggestions: a command is imported when it is called
-        entries = {n: entry for section in self.sections.values() for n, entry in section.items()}
-        self.commands: Any = entries
+        self.commands: Any = {n: x for part in self.sections.values() for n, x in part.items()}
 
     def get_command(self, ctx: Any, name: str) -> Any:
         """Import and build a command; None if there is none of this name."""
@@ -90,7 +84,7 @@ class _LazyGroup(TyperGroup):
             return super().invoke(ctx)
         except KeyboardInterrupt as error:
             typer.echo(f"interrupted: {error}" if str(error) else "interrupted", err=True)
-            raise typer.Exit(_INTERRUPTED) from None
+            raise typer.Exit(130) from None  # 128 and the number of SIGINT, as shells have it
 
 
 def _help_line(target: str | type) -> str:
@@ -98,7 +92,7 @@ def _help_line(target: str | type) -> str:
     if isinstance(target, type):
         return str(target.__doc__)
     module, _, function = target.partition(":")
-    path = Path(__file__).parent / _PACKAGE.rpartition(".")[2] / f"{module}.py"
+    path = Path(__file__).parent / "commands" / f"{module}.py"
     nodes = ast.parse(path.read_text(encoding="utf-8")).body
     texts = {n.name: ast.get_docstring(n) for n in nodes if isinstance(n, ast.FunctionDef)}
     return " ".join((texts[function] or "").partition("\n\n")[0].split())
@@ -112,7 +106,7 @@ def _build(name: str, target: str | type) -> Any:
     module, _, function = target.partition(":")
     from leaderboard.commands.output import as_command
 
-    app, found = _new_app(), getattr(import_module(f"{_PACKAGE}.{module}"), function)
+    app, found = _new_app(), getattr(import_module(f"leaderboard.commands.{module}"), function)
     app.command(name, cls=_SectionedCommand)(as_command(found))
     return typer.main.get_command(app)
 

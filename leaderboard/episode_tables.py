@@ -17,12 +17,10 @@ from road_envs.policies.rollout import roll_out
 
 _ENVIRONMENT = "RoadRecon-v0"
 _NAMESPACE = "roadrecon"
-
 _OPTIONS = {"observe": ("accelerations", "planar", "struts"), "control": "states"}
 """Options of the environment: all that a policy may use, and all states of both axles."""
 
 _BATCH = 16  # episodes that are driven at once
-
 DATASETS_PATH = "MINARI_DATASETS_PATH"  # environment variable of Minari's folder of data sets
 
 

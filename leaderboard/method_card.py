@@ -7,7 +7,6 @@ from unicodedata import category
 from road_envs.core.config import ConfigError, Settings, build, read_yaml
 
 _UNWRITTEN = "..."  # text of the template where the authors have to write
-
 TEMPLATE = f"""\
 # Every text must be replaced; authors is a list of names.
 method: {_UNWRITTEN}      # what the estimator does, in a sentence or more

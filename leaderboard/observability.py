@@ -23,10 +23,8 @@ from road_envs.vehicle.suspension import decode_commands, encode_command
 
 _Mode = str | dict[str, str]
 _PLOTTED_BAND = (0.05, 2.5)  # band [cycles/m] of a curve, cut at the low-pass of the sensors
-
 BANDWIDTHS = (25.0, 100.0, 333.0)  # of the data [Hz] for the attainable error
 _ATTAINABLE_LENGTH = 100.0  # of its road [m]
-
 _Curve = tuple[str, float, Posterior, float]
 """Mode, speed [km/h], posterior of the road over spatial frequency, in-band NRMSE [-]."""
 

@@ -18,7 +18,6 @@ from road_envs.roads.composite import FixedSeed, Flat
 from road_envs.roads.measured import Measured
 
 _SPACING = 0.01  # between the heights that are compared [m]; most tables have a multiple of it
-
 _LEAST_CORRELATION = 0.98
 """Correlation from which two surfaces are one; a half sine has one of 0.96 with another that is 5 %
 longer, and of 0.95 with the nearest raised cosine.

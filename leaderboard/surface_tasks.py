@@ -23,11 +23,8 @@ from road_envs.simulation.drive import SimulationError, simulate
 from road_envs.vehicle.parameters import load_vehicle
 
 _MIN_LENGTH = 100.0  # a shorter surface is repeated, mirrored, up to this length [m]
-
 _LEVEL_RANGE = 1e-6  # range [m] of heights about their line below which a surface is level
-
 _MAX_LENGTH = 300.0  # only this length [m] from the start of a longer surface is driven
-
 _CAR = "land_rover_defender_110"
 _MODES = ("ride", "handling", {"front": "ride", "rear": "handling"})
 _SPEEDS_KMH = (14.5, 10.0, 7.0, 5.0)

@@ -28,7 +28,6 @@ from road_envs.vehicle.suspension import WHEELS
 
 _SIDES = ("left", "right")
 _STATION_TOLERANCE = 1e-6  # largest difference [m] of a station from that of the task, for rounding
-
 _CARD = Path(__file__).parent / "templates" / "task_card.txt"
 
 

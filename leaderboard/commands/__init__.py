@@ -22,7 +22,6 @@ from road_envs.core.config import ConfigError
 
 console = Console(markup=False, emoji=False)
 notices = Console(stderr=True, markup=False, emoji=False)
-
 PICTURES, YAML = (".png", ".svg", ".pdf"), (".yaml", ".yml")  # suffixes of output paths
 
 
@@ -69,21 +68,18 @@ def import_from_here(reference: str) -> None:
         sys.path.append(os.getcwd())
 
 
-def check_output_path(path: Path | None, *suffixes: str) -> Path | None:
-    """Return `path` if its suffix is allowed and its folder exists. Raises ConfigError."""
-    if path is not None:
-        if path.suffix.lower() not in suffixes:
-            raise ConfigError(f"{path}: the name must end in {' or '.join(suffixes)}")
-        if not path.parent.is_dir():
-            raise ConfigError(f"{path}: the folder {path.parent} does not exist")
-    return path
+def check_output_path(path: Path | None, *suffixes: str) -> None:
+    """Raise ConfigError unless the suffix of a path is allowed and its folder exists."""
+    if path is not None and path.suffix.lower() not in suffixes:
+        raise ConfigError(f"{path}: the name must end in {' or '.join(suffixes)}")
+    if path is not None and not path.parent.is_dir():
+        raise ConfigError(f"{path}: the folder {path.parent} does not exist")
 
 
-def check_output_folder(path: Path | None) -> Path | None:
-    """Return `path` if it is a folder or does not exist yet. Raises ConfigError."""
+def check_output_folder(path: Path | None) -> None:
+    """Raise ConfigError if a path is one of a file."""
     if path is not None and path.exists() and not path.is_dir():
         raise ConfigError(f"--out must be a folder, {path} is a file")
-    return path
 
 
 def make_table(

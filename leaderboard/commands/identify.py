@@ -39,7 +39,8 @@ def identify(
     With --profile the road is known; without, it is estimated at the same time. Parameters are
     those with tolerances in the vehicle's file. The last third of each drive is held out.
     """
-    check_output_path(out, *YAML), check_output_path(plot, *PICTURES)
+    check_output_path(out, *YAML)
+    check_output_path(plot, *PICTURES)
     files = read_passes(records, options)
     profiles = read_profiles(profile or [], [file.measured for file in files])
     drives = [

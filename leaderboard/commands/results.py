@@ -32,9 +32,7 @@ from road_envs.core.code_digest import cache_home
 from road_envs.core.config import ConfigError
 
 _RANDOM_ROAD_BOARDS = ("new_road", "field", "class")  # boards with random roads
-
 _DEFAULT_FOLDER = Path("out/leaderboard")
-
 _SEASON_NAME = re.compile(r"[A-Za-z0-9._-]+")
 """Pattern of a folder's name that git and shells show as it is."""
 

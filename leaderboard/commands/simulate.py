@@ -22,7 +22,6 @@ from road_envs.vehicle.suspension import encode_command
 _Grade = Annotated[
     str, option("Grade of the perturbed vehicle: S0 (as described) to S4; the seed draws it.")
 ]
-
 _Plant = Annotated[
     str,
     option(
@@ -51,7 +50,8 @@ def simulate(
     plot: Annotated[Path | None, option("Draw profile and record (.png).")] = None,
 ) -> Output:
     """Simulate a drive over a road and record the signals of the instruments."""
-    check_output_path(out, ".parquet", ".csv"), check_output_path(truth, ".csv")
+    check_output_path(out, ".parquet", ".csv")
+    check_output_path(truth, ".csv")
     check_output_path(plot, *PICTURES)
     surface, car = realise_road(road, seed, length), load_vehicle(vehicle)
     struts = parse_mode(mode) if mode else next(iter(car.modes))

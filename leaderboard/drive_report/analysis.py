@@ -25,14 +25,11 @@ from road_envs.records.record import Estimate, scored_band
 from road_envs.vehicle.struts import MODES, Modes
 
 SEGMENT_LENGTHS = (10.0, 20.0, 100.0)  # lengths [m] of segments
-
 _PLACE_STD = 0.15  # [m] of an obstacle's place where distance is right (studies/report_trial.py)
 _RUN_IN = 11.0  # length [m] of the golden car's run-in (Sayers 1995)
-
 _SLOW = 20.0 / 3.6  # speed [m/s] below which waves longer than 11 m, of 0.5 Hz, are flagged
 _OCTAVES = (0.125, 0.25, 0.5, 1.0)  # centres [cycles/m] of the octaves of a class
 _WAVES_PER_SEGMENT = 2.0  # least number of waves of an octave in a segment
-
 _HUGE_RESIDUAL_NOTE = (
     "the IRI has no interval where the model leaves so much unexplained: on trial it was then a "
     "third to more than twice the true one"
@@ -96,8 +93,7 @@ def analyse(
     `known` is the factor of this car and mount by a stretch of known IRI.
     """
     record, v = measured.record, float(np.median(measured.record.v))
-    is_mean_path = not tells_paths_apart(record.sensors)
-    if is_mean_path:
+    if is_mean_path := not tells_paths_apart(record.sensors):
         unread = unread_stations(estimate.s, record)
         estimate = mean_path.with_mean_path(estimate, unread)
     edges = _edges(estimate, measured.chainage, segment, record.s[0])
@@ -146,10 +142,8 @@ def _edges(estimate: Estimate, chainage: float, segment: float, first: float) ->
     What remains at either end is a segment of its own if it is half as long, else it is joined.
     """
     begin, end = max(0.0, first - 5.0), float(estimate.s[-1])
-    inner = segment * np.arange(
-        np.ceil((begin + chainage) / segment), np.floor((end + chainage) / segment) + 1
-    )
-    inner = inner - chainage
+    low, high = np.ceil((begin + chainage) / segment), np.floor((end + chainage) / segment)
+    inner = segment * np.arange(low, high + 1) - chainage
     inner = inner[(inner > begin + 0.5 * segment) & (inner < end - 0.5 * segment)]
     return np.concatenate([[begin], inner, [end]])
 
@@ -171,8 +165,7 @@ def _segment(
     if result.is_mean_path:
         levels = {n: mean_path.path_level_ratio(n) * level for n, level in levels.items()}
     row: dict[str, Any] = {"begin_m": result.chainage + begin, "end_m": result.chainage + end}
-    paths = ("mean",) if result.is_mean_path else ("left", "right", "mean")
-    for j, path in enumerate(paths):
+    for j, path in enumerate(("mean",) if result.is_mean_path else ("left", "right", "mean")):
         for limit, x in (("", iri.median), ("_low", iri.low), ("_high", iri.high)):
             row[f"iri_{path}{limit}"] = float(x[j, k])
     whole = np.exp(np.mean(np.log(list(levels.values())))) if levels else np.nan
@@ -208,7 +201,6 @@ def _flags(
     begin: float,
     clipping: float | np.ndarray,
 ) -> list[str]:
-    """Return what limits the results of a segment, in words."""
     record, flags = result.measured.record, []
     if speed < _SLOW:
         flags.append(f"slow: waves longer than {speed / 0.5:.0f} m are uncertain")

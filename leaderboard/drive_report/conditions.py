@@ -21,10 +21,8 @@ class Conditions(Settings):
     def __post_init__(self):
         super().__post_init__()
         if len(self.limits) != len(self.categories) - 1:
-            raise ConfigError(
-                f"{len(self.categories)} categories need {len(self.categories) - 1} limits, "
-                f"got {len(self.limits)}"
-            )
+            count, given = len(self.categories), len(self.limits)
+            raise ConfigError(f"{count} categories need {count - 1} limits, got {given}")
         if (np.diff(self.limits) <= 0.0).any():
             raise ConfigError(f"the limits must increase, got {list(self.limits)}")
 

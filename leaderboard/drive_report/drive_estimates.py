@@ -25,24 +25,18 @@ from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.side_values import side_values
 
-_FRAME = "variation.frame.f"  # tolerance of a description that says of a frame that twists
-
 _UNEXPLAINED = 1.02
 """Residual in times of the sensors' noise above which side motion is tried that a file leaves out:
 individuals that have some (S4 of the paper's vehicle) have 1.04 to 2.4 without it and 1.0 to 1.2
 with it, those that have none (S1, S2) 1.0 to 1.25 and 1.2 to 2.9.
 """
 
-_SIDE_CLASS = "suv"  # generic car whose tolerances of side motion are those of a file without
-
 _SIDE_NOTE = (
     "tyres that hold the vehicle sideways, of which its file says nothing, explain the record "
     "better (residual {:.2f} instead of {:.2f} times the sensors' noise), and the vehicle was "
     "adapted: give its file a `side`"
 )
-
 _SIDE_DOUBT = "are not told apart as well"  # in a note that side motion answers
-
 _PAIRS_NOTE = (
     "The model with sensors on both sides does not reproduce the accelerations (residual {:.1f} "
     "times the sensors' noise): only the means of sensors on the left and the right were used"
@@ -102,7 +96,8 @@ def estimate_drive(
         note = f"the frame twists at {mode.f:.0f} Hz, by a peak in the record, and was adapted"
         twisted = _with_bending(drive._replace(car=car).with_notes(note))
         # a description that says of a frame leaves it to an estimator that fits the vehicle
-        is_fitted = _FRAME in drive.car.tolerances and tells_vehicle(record.sensors)
+        is_described = "variation.frame.f" in drive.car.tolerances
+        is_fitted = is_described and tells_vehicle(record.sensors)
         ways = [drive, twisted] if is_fitted else [twisted, drive]
     found = []
     for way in ways:
@@ -136,7 +131,7 @@ def _held_sideways(
     is_fitted = getattr(estimator, "adapt", False) and tells_vehicle(drive.measured.record.sensors)
     if not (is_fitted and car.tolerances) or car.side is not None or before <= _UNEXPLAINED:
         return found
-    spread = load_vehicle(_SIDE_CLASS).tolerances.items()
+    spread = load_vehicle("suv").tolerances.items()  # for a file without side motion
     known = car.tolerances | {key: x for key, x in spread if key.startswith("side.")}
     held = drive._replace(car=replace(car, side=side_values(car), tolerances=known))
     held, estimate = _estimated(estimator, held, sections)

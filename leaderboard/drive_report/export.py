@@ -16,29 +16,23 @@ from road_envs.core.reading import parsing, read_parquet
 from road_envs.roads import Surface
 
 _VERTEX_SPACING = 2.0  # distance [m] of the vertices of a segment's line
-
 OBSTACLE_COLUMNS = (
     "kind", "station_m", "station_std_m", "height_mm", "height_low_mm", "height_high_mm",
     "length_m", "wheel_path", "confidence", "lat", "lon",
 )  # fmt: skip
 
-_MILE = 1609.344  # metres in a mile
-
 
 def write_files(
     result: DriveResult, folder: Path, route: tuple[str, float] | None = None
 ) -> list[Path]:
-    """Write tables, GeoJSON and, for a `route` with the mile at chainage 0, HPMS of a drive; return
-    the files.
-    """
+    """Write tables, GeoJSON and, for a `route` with the mile at chainage 0, HPMS; return files."""
     written = [*_write_tables(result, folder), *_write_geojson(result, folder)]
     return written if route is None else [*written, _write_hpms(result, folder, *route)]
 
 
 def _write_tables(result: DriveResult, folder: Path) -> list[Path]:
     """Write segments, obstacles and heights; return the files."""
-    pd = import_pandas()
-    estimate = result.estimate
+    pd, estimate = import_pandas(), result.estimate
     std = np.full_like(estimate.z, np.nan) if estimate.z_std is None else estimate.z_std
     paths = ("mean",) if result.is_mean_path else ("left", "right")
     heights = {"station_m": result.chainage + estimate.s}
@@ -84,7 +78,7 @@ def _write_hpms(result: DriveResult, folder: Path, route: str, mile: float) -> P
     """
     lines = ["Route_ID,Begin_Point,End_Point,Section_Length,Data_Item,Value_Numeric,Value_Text"]
     for row in result.segments:
-        begin, end = (mile + row[key] / _MILE for key in ("begin_m", "end_m"))
+        begin, end = (mile + row[key] / 1609.344 for key in ("begin_m", "end_m"))
         place, flags = f"{begin:.4f},{end:.4f},{end - begin:.4f}", row["flags"].replace('"', "'")
         lines.append(f'{route},{place},IRI,{row["iri_in_per_mi"]:.0f},"{flags}"')
     path = folder / f"{result.name}_hpms.csv"
@@ -93,20 +87,15 @@ def _write_hpms(result: DriveResult, folder: Path, route: str, mile: float) -> P
 
 
 def parse_route(route: str) -> tuple[str, float]:
-    """Return the name of "ROUTE" or "ROUTE,BEGIN", and the mile at chainage 0.
-
-    Raises ConfigError.
-    """
+    """Return name and mile at chainage 0 of "ROUTE" or "ROUTE,BEGIN". Raises ConfigError."""
     name, comma, begin = route.partition(",")
     try:
         mile = float(begin) if comma else 0.0
     except ValueError:
         mile = np.nan
     if not name.strip() or not np.isfinite(mile) or '"' in name or "\n" in name:
-        raise ConfigError(
-            f"--route must be a route, or a route and the mile where the drive begins, as in "
-            f"I-80,12.5, got {route!r}"
-        )
+        needed = "a route, or a route and the mile where the drive begins, as in I-80,12.5"
+        raise ConfigError(f"--route must be {needed}, got {route!r}")
     return name.strip(), mile
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.export import OBSTACLE_COLUMNS, placed_rows
@@ -22,15 +22,7 @@ _WGS_84 = 4326  # its number among the reference systems
 _TABLES = Path(__file__).with_suffix(".sql")
 
 
-class _Layer(NamedTuple):
-    """A layer: its name, kind of geometry, the columns of its rows, and for each row the points of
-    its geometry and the values.
-    """
-
-    name: str
-    kind: str
-    columns: Sequence[str]
-    rows: list[tuple[list[list[float]], dict[str, Any]]]
+_Rows = list[tuple[list[list[float]], dict[str, Any]]]  # points of the geometry, and values
 
 
 def write_geopackage(results: Iterable[DriveResult], path: Path) -> list[Path]:
@@ -42,61 +34,57 @@ def write_geopackage(results: Iterable[DriveResult], path: Path) -> list[Path]:
     with atomic_write(path) as partial, closing(sqlite3.connect(partial)) as base:
         base.executescript(_TABLES.read_text(encoding="utf-8"))
         for layer in layers:
-            _write_layer(base, layer)
+            _write_layer(base, *layer)
         base.commit()
     return [path]
 
 
-def _layers(result: DriveResult) -> list[_Layer]:
+def _layers(result: DriveResult) -> list[tuple[str, str, Sequence[str], _Rows]]:
+    """Return name, kind of geometry, columns and rows of each layer of a drive."""
     rows = list(placed_rows(result))
     segments = [(line, values) for kind, line, values in rows if kind == "LineString"]
     obstacles = [([point], values) for kind, point, values in rows if kind == "Point"]
     points = [point for line, _ in segments for point in line]
     facts = {key: x for key, x in result.facts.items() if isinstance(x, int | float)}
     return [
-        _Layer(f"{result.name}_segments", "LINESTRING", list(segments[0][1])[:-1], segments),
-        _Layer(f"{result.name}_obstacles", "POINT", OBSTACLE_COLUMNS[:-2], obstacles),
-        _Layer(f"{result.name}_track", "LINESTRING", list(facts), [(points, facts)]),
+        (f"{result.name}_segments", "LINESTRING", list(segments[0][1])[:-1], segments),
+        (f"{result.name}_obstacles", "POINT", OBSTACLE_COLUMNS[:-2], obstacles),
+        (f"{result.name}_track", "LINESTRING", list(facts), [(points, facts)]),
     ]
 
 
-def _write_layer(base: sqlite3.Connection, layer: _Layer) -> None:
-    table = _quoted(layer.name)
-    example = layer.rows[0][1] if layer.rows else dict.fromkeys(layer.columns, "")
-    kinds = {name: "TEXT" if isinstance(example[name], str) else "DOUBLE" for name in layer.columns}
-    named = ", ".join(f"{_quoted(name)} {kind}" for name, kind in kinds.items())
+def _write_layer(
+    base: sqlite3.Connection, name: str, kind: str, columns: Sequence[str], rows: _Rows
+) -> None:
+    table, example = _quoted(name), rows[0][1] if rows else dict.fromkeys(columns, "")
+    types = {each: "TEXT" if isinstance(example[each], str) else "DOUBLE" for each in columns}
+    typed = ", ".join(f"{_quoted(each)} {text}" for each, text in types.items())
     base.execute(
-        f"CREATE TABLE {table} (fid INTEGER PRIMARY KEY AUTOINCREMENT, geom {layer.kind}, {named})"
+        f"CREATE TABLE {table} (fid INTEGER PRIMARY KEY AUTOINCREMENT, geom {kind}, {typed})"
     )
-    marks = ", ".join("?" * (len(layer.columns) + 1))
-    columns = ", ".join(["geom", *map(_quoted, layer.columns)])
-    rows = [  # a NaN is stored as NULL
-        [_geometry(points, layer.kind), *(values[name] for name in layer.columns)]
-        for points, values in layer.rows
-    ]
-    base.executemany(f"INSERT INTO {table} ({columns}) VALUES ({marks})", rows)
-    points = [point for line, _ in layer.rows for point in line]
+    marks = ", ".join("?" * (len(columns) + 1))
+    named = ", ".join(["geom", *map(_quoted, columns)])
+    # a NaN is stored as NULL
+    stored = [[_geometry(line, kind), *(values[each] for each in columns)] for line, values in rows]
+    base.executemany(f"INSERT INTO {table} ({named}) VALUES ({marks})", stored)
+    points = [point for line, _ in rows for point in line]
     x, y = ([p[k] for p in points] for k in (0, 1))
     box = (min(x), min(y), max(x), max(y)) if points else (None,) * 4
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
     base.execute(
         "INSERT INTO gpkg_contents VALUES (?, 'features', ?, '', ?, ?, ?, ?, ?, ?)",
-        (layer.name, layer.name, now, *box, _WGS_84),
+        (name, name, now, *box, _WGS_84),
     )
-    base.execute(
-        "INSERT INTO gpkg_geometry_columns VALUES (?, 'geom', ?, ?, 0, 0)",
-        (layer.name, layer.kind, _WGS_84),
-    )
+    columns_of_geometry = "INSERT INTO gpkg_geometry_columns VALUES (?, 'geom', ?, ?, 0, 0)"
+    base.execute(columns_of_geometry, (name, kind, _WGS_84))
 
 
 def _geometry(points: list[list[float]], kind: str) -> bytes:
     """Return a point or a line of `points` (longitude, latitude) as the blob of a GeoPackage."""
     header = b"GP" + struct.pack("<BBi", 0, 1, _WGS_84)  # version 1, little-endian, no envelope
     flat = [x for point in points for x in point]
-    coordinates = struct.pack(f"<{len(flat)}d", *flat)
-    if kind == "POINT":
-        return header + struct.pack("<BI", 1, 1) + coordinates
-    return header + struct.pack("<BII", 1, 2, len(points)) + coordinates
+    known = struct.pack("<BI", 1, 1) if kind == "POINT" else struct.pack("<BII", 1, 2, len(points))
+    return header + known + struct.pack(f"<{len(flat)}d", *flat)
 
 
 def _quoted(name: str) -> str:

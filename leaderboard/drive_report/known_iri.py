@@ -17,7 +17,6 @@ reports of a passenger car from three sensors had an RMS error of 5.7 %.
 """
 
 Stretch = tuple[float, float, float]  # begin [m], end [m], IRI [mm/m]
-
 _LEAST_LENGTH = 50.0  # least length [m] of a stretch of known IRI
 _LARGEST = 2.0  # largest factor, and the inverse of the smallest, that a car and a mount explain
 
@@ -29,16 +28,13 @@ def read_known_iri(text: str) -> list[Stretch]:
     try:
         value = float(text)
     except ValueError:
-        return _read_table(Path(text))
+        pd, path = import_pandas(), Path(text)
+        reason = "neither an IRI nor a table of segments (begin_m, end_m, iri)"
+        with parsing(path, ConfigError, reason):
+            table = pd.read_csv(path)
+            rows = zip(table["begin_m"], table["end_m"], table["iri"], strict=True)
+            return [_checked(float(a), float(b), float(x), "iri") for a, b, x in rows]
     return [_checked(-np.inf, np.inf, value, "--known-iri")]
-
-
-def _read_table(path: Path) -> list[Stretch]:
-    pd = import_pandas()
-    with parsing(path, ConfigError, "neither an IRI nor a table of segments (begin_m, end_m, iri)"):
-        table = pd.read_csv(path)
-        rows = zip(table["begin_m"], table["end_m"], table["iri"], strict=True)
-        return [_checked(float(a), float(b), float(x), "iri") for a, b, x in rows]
 
 
 def _checked(begin: float, end: float, value: float, name: str) -> Stretch:
@@ -63,10 +59,8 @@ def known_factor(result: DriveResult, stretches: Sequence[Stretch]) -> tuple[Kno
             known += part * values[0]
             found += part * row["iri_mean"]
     if length < _LEAST_LENGTH:
-        raise ConfigError(
-            f"{length:.0f} m of {result.name} have a known IRI; at least {_LEAST_LENGTH:g} m are "
-            "needed"
-        )
+        short = f"{length:.0f} m of {result.name} have a known IRI"
+        raise ConfigError(f"{short}; at least {_LEAST_LENGTH:g} m are needed")
     factor = known / found
     if not 1.0 / _LARGEST < factor < _LARGEST:
         raise ConfigError(

@@ -36,7 +36,6 @@ from road_envs.records.record import Estimate, Record
 from road_envs.records.roughness import TRACK, golden_car, root_coherence
 
 _MEASURED_RATIO = 1.0 / 0.8  # middle of the published ratios: HRI 20 % below IRI
-
 HRI_STD = 0.065
 """Relative standard deviation of the HRI of a drive by a vehicle whose structure is not the one
 described, and of kinds that were not simulated; that of the tolerances (`roughness_std`) adds to
@@ -52,12 +51,9 @@ _LEVEL_STD = 0.15  # standard deviation of the logarithm of D's level among road
 _LEVEL_WINDOW = 60.0  # window [m] of the median of |M|, by which the level of D follows the road
 _NORMAL_MEDIAN = 0.6745  # median magnitude of a standard normal number
 _SAMPLES = 64  # samples of D
-
 _FILLINGS = 32  # samples of a road where nothing was read
-
 _LEAST_APART = 0.4  # least distance [m] to the left of one another at which sensors tell the roll
 _SAME_PLACE = 0.5  # most distance [m] along the body of two sensors that are a pair
-
 _MEAN_PATH_NOTE = (
     "One sensor, or sensors on one line, do not tell left from right: heights are those of the "
     "mean of both wheel paths, HRI is its index (Sayers 1989), and the IRI has the expected "
@@ -107,10 +103,9 @@ def _golden_power(ds: float, size: int) -> tuple[np.ndarray, np.ndarray]:
     step = np.zeros((1, size))
     step[0, size // 3 :] = 1.0  # an impulse of the slope
     response = golden_car(step, ds)[0]
-    n = rfftfreq(response.size, ds)
     power = np.abs(rfft(response)) ** 2
     power[0] = 0.0
-    return n, power
+    return rfftfreq(response.size, ds), power
 
 
 def _path_ratio(w: float = 2.0, track: float = TRACK) -> float:
@@ -133,15 +128,15 @@ def with_mean_path(estimate: Estimate, unread: np.ndarray) -> Estimate:
     is `unread` (M,), its samples have the slopes of other places, in a row: of a single sensor no
     prior is known that is as rough as the road.
     """
-    std, draws = estimate.z_std, estimate.draws
+    std, draws, mean = estimate.z_std, estimate.draws, estimate.z.mean(axis=0)
     if std is not None:
         std = np.tile(std.min(axis=0), (2, 1))
     if draws is not None:
         draws = np.broadcast_to(draws.mean(axis=1, keepdims=True), draws.shape)
     if unread.any() and not unread.all():
-        draws = _filled(estimate.z.mean(axis=0), unread)
-    mean, notes = np.tile(estimate.z.mean(axis=0), (2, 1)), (_MEAN_PATH_NOTE, *estimate.notes)
-    return replace(estimate, z=mean, z_std=std, draws=draws, notes=notes)
+        draws = _filled(mean, unread)
+    notes = (_MEAN_PATH_NOTE, *estimate.notes)
+    return replace(estimate, z=np.tile(mean, (2, 1)), z_std=std, draws=draws, notes=notes)
 
 
 def _filled(z: np.ndarray, unread: np.ndarray) -> np.ndarray:
@@ -162,8 +157,7 @@ def mean_path_indices(
     `z` (L, M) [m] are samples of the mean path, or one profile, every `ds` [m]. Both indices are
     multiplied by `factor`, whose relative standard deviation is `std`.
     """
-    rng = np.random.default_rng(0)
-    motion = 1e3 * np.abs(golden_car(z, ds))
+    rng, motion = np.random.default_rng(0), 1e3 * np.abs(golden_car(z, ds))
     # of standard deviations on a road without obstacles: IRI² / HRI² = 1 + (D / M)²
     ratio = np.sqrt(_path_ratio() * _MEASURED_RATIO)
     share = float(np.sqrt(ratio**2 - 1.0))
@@ -176,8 +170,7 @@ def mean_path_indices(
         unseen = np.abs(spread * next(units))
         half.append(scale * segment_means(one, index))
         iri.append(scale * segment_means(np.maximum(one, unseen), index))
-    low_median_high = (0.025, 0.5, 0.975)
-    both = (np.quantile(factor * np.array(x), low_median_high, axis=0) for x in (half, iri))
+    both = (np.quantile(factor * np.array(x), (0.025, 0.5, 0.975), axis=0) for x in (half, iri))
     first, second = (IriPosterior(*quantiles[:, None]) for quantiles in both)
     return first, second
 

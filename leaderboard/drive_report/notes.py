@@ -19,7 +19,6 @@ _FITTED = r"was adapted|adapted to the drive"
 """Notes of a vehicle whose parameters or elements were found from the drive itself."""
 
 _SLOW = ": values every"  # words after the name of a column that has fewer samples
-
 _WEIGHTS = (
     r"heights there are not known",
     r"^the record .* is assumed",
@@ -50,7 +49,6 @@ that is right to 13 % (`studies/few_sensors.py`). Of two sensors both paths expl
 anything: LARGE_RESIDUAL is their limit, with 5 to 32 without the frame and up to 2.8 with it.
 """
 
-
 _LEAST_SURE, _SURE_LENGTH = 0.9, 100.0
 """Logarithm of the upper over the lower limit of an IRI over this length [m] above which sensors on
 both sides tell less than one sensor, which has 0.5 to 0.6. With three phones in a saloon of grade
@@ -60,9 +58,8 @@ segments of such drives have 1.2 (`studies/few_sensors.py`).
 
 
 def misfits(estimate: Estimate, is_mean_path: bool) -> bool:
-    """Whether the model is far from reproducing the record. The mean path alone can explain any
-    record of its sensors, so what it leaves tells as soon as it is noted.
-    """
+    """Whether the model is far from reproducing the record."""
+    # the mean path alone can explain any record of its sensors: what it leaves tells once noted
     return residual_of(estimate) >= (_NOTED_RESIDUAL if is_mean_path else LARGE_RESIDUAL)
 
 
@@ -121,10 +118,9 @@ def in_order_of_weight(notes: Iterable[str]) -> tuple[str, ...]:
     joined = [
         ", ".join(names) + what if what.startswith(_SLOW) else what for what, names in alike.items()
     ]
-    matches = [(k, text) for k, text in enumerate(_WEIGHTS) if text]
 
     def weight(note: str) -> int:
-        found = (k for k, text in matches if re.search(text, note))
+        found = (k for k, text in enumerate(_WEIGHTS) if text and re.search(text, note))
         return next(found, _WEIGHTS.index(""))
 
     return tuple(sorted(joined, key=weight))

@@ -30,7 +30,6 @@ from road_envs.records.record import Estimate
 _SPANS = (0.6, 1.0, 1.6, 2.5, 4.0, 6.3)  # [m] of the straightedge: potholes to speed humps
 _SCATTER_LENGTH = 60.0  # window [m] of the scatter of the random road around an obstacle
 _MIN_HEIGHT = 0.015  # least height [m] of an obstacle
-
 _MIN_CONFIDENCE, CERTAIN = 0.95, 0.99  # obstacles below are left out, called possible
 FALSE_ALARMS = {"C": (0.37, 0.03), "D": (1.5, 0.15)}
 """Obstacles per km that are listed on random roads of an ISO 8608 class, and those of them that are
@@ -44,7 +43,6 @@ ends; its height is the median over this share of the length, and at least this 
 
 _TOP = 0.2  # highest share of an obstacle, whose mean is its height: not the waves upon it
 _READINGS = 3  # iterations that find feet and line, each by the line before
-
 HEIGHT_STD = 0.07
 """Relative standard deviation of a height by tyres that envelop an obstacle and a vehicle that is
 not quite the one described, from the simulated drives of `studies/report_trial.py`.
@@ -75,9 +73,8 @@ class DetectedObstacle(NamedTuple):
 def detect(estimate: Estimate) -> list[DetectedObstacle]:
     """Return the obstacles of both wheel paths by station; one in both paths is one obstacle."""
     std = np.zeros_like(estimate.z) if estimate.z_std is None else estimate.z_std
-    left, right = (
-        _highest(_detect_path(z, e, estimate.ds)) for z, e in zip(estimate.z, std, strict=True)
-    )
+    paths = zip(estimate.z, std, strict=True)
+    left, right = (_highest(_detect_path(z, error, estimate.ds)) for z, error in paths)
     merged = []
     for one in left:
         near = (o for o in right if abs(o.station - one.station) < MERGE_GAP)
@@ -142,8 +139,7 @@ def _detect_path(z: np.ndarray, std: np.ndarray, ds: float) -> Iterator[Detected
         begin, end, found = _read(z, peak, halves[j], float(np.sign(d[j, peak])), ds)
         if found is not None:
             middle, height, length = found
-            span = int(np.argmin(np.abs(np.array(_SPANS) - length)))
-            spread = float(scatter[span, peak])
+            spread = float(scatter[np.argmin(np.abs(np.array(_SPANS) - length)), peak])
             x = float(np.abs(d[j, peak]) / scatter[j, peak])
             confidence = float(np.exp(-np.exp(-(x - _GUMBEL_LOCATION) / _GUMBEL_SCALE)))
             yield DetectedObstacle(middle, height, spread, length, "", confidence)
@@ -167,7 +163,9 @@ def _read(
     """
     first, last = max(0, peak - half), min(z.size - 1, peak + half)
     for _ in range(_READINGS):
-        levels = [_level(z, k, way, ds, last - first) for k, way in ((first, -1), (last, 1))]
+        size = max(round(_FOOT_WIDTH * (last - first)), round(_MIN_FOOT_WIDTH / ds), 1)
+        beyond = z[max(0, first - size + 1) : first + 1], z[last : last + size]
+        levels = [np.median(part) for part in beyond]
         line = np.interp(np.arange(z.size), [first, last], levels)
         above = sign * (z - line)
         top = first + int(np.argmax(above[first : last + 1]))
@@ -183,10 +181,3 @@ def _read(
     if height < _MIN_HEIGHT:
         return first, last, None
     return first, last, (0.5 * ds * (begin + end), sign * height, ds * (end - begin + 1))
-
-
-def _level(z: np.ndarray, foot: int, direction: int, ds: float, length: int) -> float:
-    """Return the median height beyond a foot."""
-    size = max(round(_FOOT_WIDTH * length), round(_MIN_FOOT_WIDTH / ds), 1)
-    part = z[foot : foot + size] if direction > 0 else z[max(0, foot - size + 1) : foot + 1]
-    return float(np.median(part))

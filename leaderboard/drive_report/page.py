@@ -37,7 +37,7 @@ def write_page(
 
 def _drive(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str, Any]:
     paths = ("hri", "iri_mean") if result.is_mean_path else ("iri_left", "iri_right", "iri_mean")
-    lengths = {name: 0.0 for name in conditions.categories}
+    lengths = dict.fromkeys(conditions.categories, 0.0)
     for row in result.segments:
         lengths[row["condition"]] += row["end_m"] - row["begin_m"]
     total = sum(lengths.values())
@@ -58,7 +58,6 @@ def _drive(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str
 
 
 def _sensors(result: DriveResult) -> str:
-    """Return the number and the places of the accelerometers in words."""
     layout, at = result.measured.record.sensors, result.measured.place
     count = len(result.measured.record.channels)
     if at and count == 1:

@@ -18,16 +18,11 @@ from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.records.record import Estimate
 from road_envs.vehicle.parameters import VehicleParameters
 
-_MIN_SEGMENTS = 3  # least number of common segments for limits of agreement and for an ICC
-
-
-_JOINED = "all_passes"  # name of the road of all passes, in the page and in its files
+_MIN_SEGMENTS = 3  # least number of common segments for an ICC
 
 
 class ReportedPass(NamedTuple):
-    """A pass: its name, measured record and estimate, both in the stations of the first pass if it
-    is `aligned` with it.
-    """
+    """A pass: name, measured record and estimate, in the stations of the first if `aligned`."""
 
     name: str
     measured: MeasuredRecord
@@ -40,9 +35,7 @@ class ReportedPass(NamedTuple):
 
 
 def align_passes(passes: Sequence[ReportedPass]) -> list[ReportedPass]:
-    """Return the passes in the stations of the first. One that matches nowhere keeps its own; a
-    note says so.
-    """
+    """Return the passes in the stations of the first; one that matches nowhere has a note of it."""
     name, measured, first, _ = passes[0]
     whole = identity_map(measured.record.length)
     found = [passes[0]._replace(aligned=AlignedPass(name, measured.record, first, whole))]
@@ -65,10 +58,10 @@ def _cut(one: ReportedPass, first: Estimate) -> ReportedPass:
     station 0 is the first of them.
     """
     assert one.aligned is not None
-    s = first.s
-    own, estimate = one.aligned.stations.inverse().apply(s), one.estimate
+    s, estimate, record = first.s, one.estimate, one.measured.record
+    own = one.aligned.stations.inverse().apply(s)
     inside = np.flatnonzero((own >= 0.0) & (own <= estimate.s[-1]))
-    begin, record = float(s[inside[0]]), one.measured.record
+    begin = float(s[inside[0]])
     moved: dict[str, Any] = {
         name: np.apply_along_axis(lambda x: np.interp(own[inside], estimate.s, x), -1, values)
         for name in ("z", "z_std", "draws", "unsure")
@@ -100,19 +93,19 @@ def join(
     note = f"{ONE_ROAD} {names}; speed and states are those of {passes[0].name}"
     notes = (note, estimators.passes.WANDER_NOTE)
     road = replace(road, notes=(), distance=passes[0].estimate.distance)
-    return ReportedPass(_JOINED, first._replace(notes=notes), road)
+    return ReportedPass("all_passes", first._replace(notes=notes), road)  # its name in files, too
 
 
 def compare(results: Sequence[DriveResult]) -> dict[str, Any] | None:
     """Return the agreement of aligned passes by their common segments; None if there are none."""
-    rows = [
-        {(round(row["begin_m"], 2), round(row["end_m"], 2)): row for row in result.segments}
+    iri = [
+        {(round(x["begin_m"], 2), round(x["end_m"], 2)): x["iri_mean"] for x in result.segments}
         for result in results
     ]
-    common = [key for key in rows[0] if all(key in each for each in rows)]
+    common = [key for key in iri[0] if all(key in each for each in iri)]
     if len(results) < 2 or not common:
         return None
-    x = np.array([[each[key]["iri_mean"] for each in rows] for key in common])
+    x = np.array([[each[key] for each in iri] for key in common])
     segments, others = [], []
     for (begin, end), line in zip(common, x, strict=True):
         spread = {"mean": float(line.mean()), "std": float(line.std(ddof=1))}
@@ -136,9 +129,8 @@ def compare(results: Sequence[DriveResult]) -> dict[str, Any] | None:
 def _profile_correlation(first: DriveResult, other: DriveResult) -> float:
     """Return the IRI-filtered cross-correlation, R 56-style, over the common road."""
     ds = first.estimate.ds
-    begin = max(first.chainage, other.chainage)
     end = min(r.chainage + r.estimate.s[-1] for r in (first, other))
-    s = np.arange(begin, end, ds)
+    s = np.arange(max(first.chainage, other.chainage), end, ds)
     if s.size * ds < 20.0:
         return np.nan
     paths = [

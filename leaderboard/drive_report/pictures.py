@@ -23,8 +23,6 @@ before the end of the last one and ends behind the begin of the next, so that no
 """
 
 _STRIP_STEP, _STRIP_UNIT = 0.15, 0.1  # [m] and [mm] of heights in a page: 20 km have 0.7 MB
-_POINTS = 1500  # largest number of points of a line
-_LONGEST_WAVE = 20.0  # longest wave [m] of the profile strip
 
 
 def condition_colours(conditions: Conditions) -> list[str]:
@@ -48,16 +46,14 @@ def _shown_heights(result: DriveResult) -> _Shown:
     deviation (2, M) [mm], None where the method has none.
     """
     estimate, ds = result.estimate, result.estimate.ds
-    band = (1.0 / _LONGEST_WAVE, scored_band(result.v)[1])
+    band = (1.0 / 20.0, scored_band(result.v)[1])  # waves of up to 20 m
     z = 1e3 * band_pass(estimate.z, ds, band)
     trim = (estimate.s.size - z.shape[1]) // 2
     inside = slice(trim, trim + z.shape[1])
-    std = None
+    std = None if estimate.z_std is None else 1e3 * estimate.z_std[:, inside]
     if estimate.draws is not None:
         errors = (band_pass(road - estimate.z, ds, band) for road in estimate.draws)
         std = 1e3 * np.sqrt(sum(error**2 for error in errors) / len(estimate.draws))
-    elif estimate.z_std is not None:
-        std = 1e3 * estimate.z_std[:, inside]
     return result.chainage + estimate.s[inside], z, std
 
 
@@ -102,7 +98,7 @@ def _profile_strip(result: DriveResult, shown: _Shown) -> str:
     def paint(figure: Any) -> None:
         panels = np.atleast_1d(figure.subplots(rows, 1, sharey=True))
         for axes, core in zip(panels, np.array_split(np.arange(s.size), rows), strict=True):
-            step, more = max(1, core.size // _POINTS), round(_OVERLAP / ds)
+            step, more = max(1, core.size // 1500), round(_OVERLAP / ds)  # about 1500 points
             part = np.arange(max(0, core[0] - more), min(s.size, core[-1] + 1 + more), step)
             for k, (name, shade) in enumerate(_drawn_paths(result).items()):
                 axes.plot(s[part], z[k, part], color=shade, lw=0.9, label=name)
@@ -111,9 +107,8 @@ def _profile_strip(result: DriveResult, shown: _Shown) -> str:
                     axes.fill_between(s[part], low, high, color=shade, alpha=0.2, lw=0)
             for obstacle in result.obstacles:
                 if s[core[0]] <= (station := obstacle["station_m"]) <= s[core[-1]]:
-                    look = {"ha": "center", "va": "top", "fontsize": 8}
-                    text = f"{obstacle['height_mm']:+.0f} mm"
-                    axes.annotate(text, (station, 1.35 * limit), **look)
+                    text, look = f"{obstacle['height_mm']:+.0f} mm", {"ha": "center", "va": "top"}
+                    axes.annotate(text, (station, 1.35 * limit), fontsize=8, **look)
             axes.set(xlim=(s[part[0]], s[part[-1]]), ylim=(-limit, 1.4 * limit))
             axes.grid(color="0.9", lw=0.5)
         panels[0].legend(frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
@@ -127,8 +122,7 @@ def _iri_chart(result: DriveResult, conditions: Conditions) -> str:
     """Return the IRI of the segments along the road, with intervals, over the categories."""
 
     def paint(figure: Any) -> None:
-        axes = figure.subplots()
-        segments = result.segments
+        axes, segments = figure.subplots(), result.segments
         edges = [row["begin_m"] for row in segments] + [segments[-1]["end_m"]]
         shown = ("mean",) if result.is_mean_path else ("left", "right")
         keys = [f"iri_{path}{limit}" for path in shown for limit in ("", "_high")]
@@ -193,8 +187,7 @@ def _track_map(result: DriveResult, conditions: Conditions, anchor: str) -> str:
     station = result.chainage + result.measured.record.s
 
     def paint(figure: Any) -> None:
-        axes = figure.subplots()
-        colours = condition_colours(conditions)
+        axes, colours = figure.subplots(), condition_colours(conditions)
         axes.plot(east, north, color="0.8", lw=6, solid_capstyle="round", zorder=1)
         for k, row in enumerate(result.segments):
             part = np.flatnonzero((station >= row["begin_m"]) & (station <= row["end_m"]))

@@ -14,8 +14,6 @@ import numpy as np
 from road_envs.records.record import Estimate
 from road_envs.records.roughness import golden_car
 
-_NORMAL_QUANTILE = 1.96  # half the width of an interval of 95 %, in standard deviations
-
 _MODEL_STD = 0.01
 """Relative standard deviation of what the samples do not contain: the model of a known vehicle is
 not the vehicle. On 16 drives over classes A to D the IRI had an RMS error of 0.2 to 2.2 %, the
@@ -69,7 +67,7 @@ def posterior_iri(
         std = np.sqrt(std**2 + _MODEL_STD**2 + (_SMOOTH_STD / np.exp(middle)) ** 2)
     elif not np.any(relative_std):
         std = np.full_like(std, np.nan)
-    spread = _NORMAL_QUANTILE * std
+    spread = 1.96 * std  # of an interval of 95 %
     return IriPosterior(*(np.exp(middle + part) for part in (-spread, 0.0, spread)))
 
 

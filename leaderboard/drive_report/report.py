@@ -83,9 +83,8 @@ def make_report(
     metres = [max(record.length, 1.0) for record in records]
     for k, drive in enumerate(drives):
         begin, share = (0.95 * x / sum(metres) for x in (sum(metres[:k]), metres[k]))
-        part = replace(
-            sections or Sections(), told=_within(progress, f"estimating {drive.name}", begin, share)
-        )
+        told = _within(progress, f"estimating {drive.name}", begin, share)
+        part = replace(sections or Sections(), told=told)
         one = make_drive_estimator(chosen.estimator, drive, chosen.settings, chosen.fast)
         drive, found = estimate_drive(one, drive, part)
         read.append(ReportedPass(drive.name, drive.measured, found))
@@ -98,11 +97,9 @@ def make_report(
     if chosen.known_iri is not None:
         known, note = known_factor(results[0], chosen.known_iri)
         mounts = [(drive.vehicle, drive.description.at, drive.sensors) for drive in drives]
-        is_own = [mount == mounts[0] for mount in mounts]
-        drives = [
-            _with_factor(d, known) if own else d for d, own in zip(drives, is_own, strict=True)
-        ]
-        passes = [p.with_note(note) if own else p for p, own in zip(passes, is_own, strict=True)]
+        drives = list(drives)
+        for k in (k for k, mount in enumerate(mounts) if mount == mounts[0]):
+            drives[k], passes[k] = _with_factor(drives[k], known), passes[k].with_note(note)
         results = list(map(_analysed, passes, drives, repeat(chosen)))
     compared = [r for r, p in zip(results, passes, strict=True) if p.aligned]
     return _RoadReport(
@@ -131,7 +128,6 @@ def _with_factor_told(each: ReportedPass, drive: DriveFile) -> ReportedPass:
 
 
 def _with_factor(drive: DriveFile, known: KnownFactor) -> DriveFile:
-    """Return a drive whose description has the factor, times the one that it had."""
     factor = (drive.description.iri_factor or 1.0) * known.factor
     described = drive.description.updated(iri_factor=factor, iri_factor_std=known.std)
     return drive._replace(description=described)

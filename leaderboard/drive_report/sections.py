@@ -42,9 +42,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 _SECTION, _FITTED_SECTION = 2000.0, 10_000.0  # lengths [m], about; the second with a fitted vehicle
 _RUN_IN, _RUN_OUT = 150.0, 50.0  # [m] before and behind a section that are estimated with it
 KEPT = "unfinished"  # folder of kept sections in that of a report
-
 _KIND = Kind("drive section", 2, ("leaderboard.drive_report.sections", "estimators.registry"))
-
 _ARRAYS = ("z", "z_std", "unsure", "draws")  # kept as arrays, by station in the last axis
 
 
