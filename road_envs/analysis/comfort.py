@@ -41,8 +41,8 @@ def _match_section(b: np.ndarray, a: np.ndarray, corner: float, fs: float) -> np
     """Return the digital section (6,) at `fs` [Hz] of an analogue section b(s) / a(s).
 
     The poles are mapped exactly; the zeros match the analogue magnitude at 0, at the `corner` [Hz]
-    and at half the sampling rate (Vicanek, Matched second order digital filters, 2016). The
-    bilinear transform would have a zero at half the sampling rate instead.
+    and at half the sampling rate (Vicanek, Matched second order digital filters, 2016), where the
+    bilinear transform would have a zero.
     """
     f = np.array([0.0, min(corner, 0.25 * fs), 0.5 * fs])
     z = np.exp(2j * np.pi * f / fs)

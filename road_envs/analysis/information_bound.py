@@ -10,19 +10,18 @@ minimum mean square error estimate from the whole drive (non-causal) is
     z^ = K a,     K = S H* (H S H* + R)^-1,     P = S - K H S
 
 and P(n) is the spectrum of its error (Wiener 1949; Kailath, Sayed & Hassibi, "Linear Estimation",
-2000, chapter 7). Three accelerometers measure heave, pitch and roll. The mean of the wheel paths
-excites heave and pitch, their difference excites only roll. With equal suspension in front and at
-the rear, roll does not respond at n = (2 k + 1) / (2 wheelbase); with unequal suspension it does.
+2000, chapter 7). The mean of the wheel paths excites heave and pitch, their difference only roll.
+With equal suspension in front and at the rear, roll does not respond at
+n = (2 k + 1) / (2 wheelbase).
 
-R = N² v with the noise density N of the sensors. A `model_error` m adds independent noise of m
-times the road-induced signal to each sensor, R_ii = N² v + m² (H S H*)_ii: the model is wrong by
-that share, independently in each sensor. Above the low-pass F_C the response is zero.
+R = N² v with the noise density N of the sensors. A `model_error` m adds noise, independent in each
+sensor, of that share of the road-induced signal: R_ii = N² v + m² (H S H*)_ii. Above the low-pass
+F_C the response is zero.
 
 Dampers and friction are replaced by the linear damping of least mean square error for a Gaussian
-rate of extension, whose standard deviation depends on road, speed and the damping itself
-(`equivalent_damping`). The nonlinear residual of their force is not noise for an estimator that
-knows the force laws, and is neglected by default. For a linear estimator it is noise and adds to R
-(`statistical_linearization.py`).
+rate of extension (`equivalent_damping`). The nonlinear residual of their force is noise for a
+linear estimator, and adds to R (`statistical_linearization.py`). An estimator that knows the force
+laws has no such noise, the default.
 """
 
 from collections.abc import Iterable, Mapping
@@ -53,9 +52,7 @@ from road_envs.vehicle.linear_model import (
 )
 from road_envs.vehicle.parameters import VehicleParameters
 
-N_FREQUENCIES = 4001
-"""Number of frequencies in a band, enough to resolve the narrowest notch, that of stiff struts."""
-
+N_FREQUENCIES = 4001  # in a band, enough for the narrowest notch, that of stiff struts
 Mode = str | Mapping[str, str]  # state of all struts, or states by axle or wheel
 
 
@@ -75,8 +72,7 @@ class RoadPrior(Settings):
         """Return densities and cross-densities (F, 2, 2) [m³] of both wheel paths at `n` (F,)."""
         g = root_coherence(n, self.w, self.track)
         one = np.ones_like(g)
-        rows = np.array([[one, g], [g, one]]) * self.density(n)
-        return np.moveaxis(rows, -1, 0)
+        return np.moveaxis(np.array([[one, g], [g, one]]) * self.density(n), -1, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +94,8 @@ class Posterior:
         return np.real(self.error[:, [0, 1], [0, 1]])
 
     def relative_error(self, which: str) -> np.ndarray:
-        """Return the amplitude of the error relative to the prior (F,) [-].
-
-        `which` is "left", "right", "mean" or "difference".
+        """Return the amplitude of the error of the "left", "right", "mean" or "difference" of the
+        wheel paths, relative to the prior (F,) [-].
         """
         known = {"left": (1.0, 0.0), "right": (0.0, 1.0), "mean": (0.5, 0.5)}
         a = np.array(known.get(which, (1.0, -1.0)))
@@ -127,8 +122,7 @@ def posterior(
 
     The sensors have the responses `H` (F, S, 2) and the noise spectrum `R` (F, S, S) over `n` (F,).
     """
-    HS = H @ S
-    signal = HS @ hermitian(H)
+    signal = (HS := H @ S) @ hermitian(H)
     noise = R + model_error**2 * np.real(signal) * np.eye(H.shape[1])
     # K (signal + noise) = S H*, solved for the adjoint of K
     gain = hermitian(np.linalg.solve(signal + noise, HS))
@@ -147,10 +141,10 @@ def bound(
     n: np.ndarray | None = None,
     **options: Any,
 ) -> Posterior:
-    """Return the least error of linear reconstruction of a road with the given `prior`.
+    """Return the least error of linear reconstruction, driving in `mode` at `v` [m/s].
 
-    The vehicle drives in `mode` at `v` [m/s]. `n` [cycles/m] is the scored band by default.
-    `options` are those of `measurement`. Raises ValueError on invalid arguments.
+    `n` [cycles/m] is the scored band by default. `options` are those of `measurement`. Raises
+    ValueError on invalid arguments.
     """
     if not 0 <= model_error < np.inf:
         raise ValueError(f"model_error must not be negative, got {model_error}")
@@ -175,8 +169,7 @@ def measurement(
 
     `locations`, as in `linearise`, replace those of the `instruments`. `damping` (4,) [N s/m] of
     the struts is `equivalent_damping` by default. With `residual_as_noise` the nonlinear residual
-    of the strut forces adds to the noise, which gives the bound of purely linear estimators. Above
-    the low-pass of F_C [Hz] nothing is measured.
+    of the strut forces adds to the noise, as it does for purely linear estimators.
     """
     if damping is None:
         damping = equivalent_damping(car, mode, v, prior)
@@ -205,9 +198,8 @@ def equivalent_damping(
 ) -> np.ndarray:
     """Return the equivalent damping (4,) [N s/m] of the struts on a road with `prior` at `v` [m/s].
 
-    It is the fixed point of statistical linearisation: the damping determines the strut rates, and
-    their standard deviation determines the damping. Raises ValueError, and ArithmeticError if the
-    iteration does not converge.
+    It determines the strut rates, and their standard deviation determines it. Raises ValueError,
+    and ArithmeticError if the iteration does not converge.
     """
     model_plant = car if isinstance(car, Plant) else build_plant(car)
     f = np.geomspace(0.05, 50.0, 300)
@@ -222,15 +214,13 @@ def equivalent_damping(
         damping = damping**0.3 * new**0.7
         if change < 1e-3:
             return damping
-    raise ArithmeticError(
-        f"the equivalent damping did not converge at {v:g} m/s, G_d0 {prior.G_d0:g} m³"
-    )
+    where = f"at {v:g} m/s, G_d0 {prior.G_d0:g} m³"
+    raise ArithmeticError(f"the equivalent damping did not converge {where}")
 
 
 def strut_rate_std(model: LinearModel, v: float, f: np.ndarray, S: np.ndarray) -> np.ndarray:
-    """Return the standard deviations (4,) [m/s] of the strut rates.
-
-    The wheel paths have the spectrum `S` (F, 2, 2) [m²/Hz] at `f` (F,) [Hz].
+    """Return the standard deviations (4,) [m/s] of the strut rates on wheel paths with the spectrum
+    `S` (F, 2, 2) [m²/Hz] at `f` (F,) [Hz].
     """
     H = combine_wheel_paths(model, v, f, strut_rate_response(model, f))
     density = np.real(np.einsum("fwa,fab,fwb->fw", H, S, H.conj()))
@@ -239,10 +229,8 @@ def strut_rate_std(model: LinearModel, v: float, f: np.ndarray, S: np.ndarray) -
 
 @dataclass(frozen=True, eq=False)
 class BoundTable:
-    """Table of the bound for each pair of strut states, which switching policies can look up.
-
-    `nrmse` (front state, rear state, speed) [-] in the scored band, pooled over both wheel paths,
-    for `modes` and `speeds` (V,) [m/s]. In the linear model it does not depend on the measurements.
+    """Table of the bound for each pair of strut states: `nrmse` (front state, rear state, speed)
+    [-] in the scored band, pooled over both wheel paths, for `modes` and `speeds` (V,) [m/s].
     """
 
     modes: tuple[str, ...]

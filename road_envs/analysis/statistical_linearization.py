@@ -11,9 +11,7 @@ with the motion at any lag (Bussgang 1952), and has the autocorrelation
     R_q(tau) = sum over k >= 2 of a_k² rho(tau)^k,     a_k = E[q(sigma x) He_k(x)] / sqrt(k!)
 
 (Mehler's formula; Price, IRE Trans. Inf. Theory 4, 1958). It excites the vehicle like an additional
-force in parallel with each strut. The residual of the dampers is small compared with that of
-friction at low speeds and on smooth roads, and with that of the gas spring in stiff states on rough
-roads. Wheels off the ground are not considered.
+force in parallel with each strut. Wheels off the ground are not considered.
 """
 
 from collections.abc import Callable, Mapping
@@ -35,20 +33,14 @@ from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 ORDERS = 24  # highest order of the Hermite polynomials whose spectra are computed
-
-Spectrum = Callable[[np.ndarray], np.ndarray]
-"""From `n` (F,) [cycles/m] to the spectrum (F, 2, 2) [m³] of both wheel paths."""
-
 BANDWIDTH = 60.0  # highest frequency [Hz] of the spectrum of the motion
 N_FREQUENCIES = 4096  # number of frequencies of that spectrum
 
 
 @dataclass(frozen=True, eq=False)
 class NonlinearResidual:
-    """Tables of the residual forces (4, K) [N] of the struts, upwards on the body.
-
-    `over_extension` is tabulated over the extension from rest `e` (K,) [m], `over_rate` over the
-    rate of extension `e_dot` (K,) [m/s].
+    """Residual forces (4, K) [N] of the struts, upwards on the body, over the extension from rest
+    `e` (K,) [m] and over the rate of extension `e_dot` (K,) [m/s].
     """
 
     e: np.ndarray
@@ -76,20 +68,22 @@ def nonlinear_residual(
 
 
 def residual_force_psd(
-    model: LinearModel, residual: NonlinearResidual, v: float, spectrum: Spectrum, f: np.ndarray
+    model: LinearModel,
+    residual: NonlinearResidual,
+    v: float,
+    spectrum: Callable[[np.ndarray], np.ndarray],
+    f: np.ndarray,
 ) -> np.ndarray:
-    """Return the spectrum (F, 4, 4) [N²/Hz] at `f` (F,) [Hz] of the residual strut forces.
-
-    The vehicle drives at `v` [m/s] on wheel paths with the given `spectrum`.
+    """Return the spectrum (F, 4, 4) [N²/Hz] at `f` (F,) [Hz] of the residual strut forces, driving
+    at `v` [m/s] on wheel paths with the `spectrum` (N, 2, 2) [m³], a function of `n` (N,).
     """
     df = BANDWIDTH / N_FREQUENCIES
     f_motion = df * np.arange(1, N_FREQUENCIES + 1)
     H = combine_wheel_paths(model, v, f_motion, strut_rate_response(model, f_motion))
     rates = H @ (spectrum(f_motion / v) / v) @ hermitian(H)
     extensions = rates / (2.0 * np.pi * f_motion[:, None, None]) ** 2
-    total = _hermite(residual.e_dot, residual.over_rate, rates, df) + _hermite(
-        residual.e, residual.over_extension, extensions, df
-    )
+    total = _hermite(residual.e_dot, residual.over_rate, rates, df)
+    total = total + _hermite(residual.e, residual.over_extension, extensions, df)
     grid = df * np.arange(len(total))
     flat = total.reshape(grid.size, -1)
     parts = [np.interp(f, grid, x.real) + 1j * np.interp(f, grid, x.imag) for x in flat.T]
@@ -97,10 +91,8 @@ def residual_force_psd(
 
 
 def _hermite(x: np.ndarray, laws: np.ndarray, spectrum: np.ndarray, df: float) -> np.ndarray:
-    """Return the spectrum (K + 1, 4, 4) at 0 ... K df of the nonlinear part of `laws` (4, J).
-
-    The laws are tabulated over `x` (J,) and applied to Gaussian signals with the one-sided
-    `spectrum` (K, 4, 4) at df ... K df.
+    """Spectrum (K + 1, 4, 4) at 0 ... K df of the nonlinear part of `laws` (4, J) over `x` (J,),
+    applied to Gaussian signals with the one-sided `spectrum` (K, 4, 4) at df ... K df.
     """
     K = len(spectrum)
     sigma = np.sqrt(np.real(np.einsum("fii->i", spectrum)) * df)
@@ -120,9 +112,8 @@ def _hermite(x: np.ndarray, laws: np.ndarray, spectrum: np.ndarray, df: float) -
 def _coefficients(
     x: np.ndarray, laws: np.ndarray, sigma: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return coefficients (ORDERS + 1, 4) of normalised Hermite polynomials of Gaussian signals.
-
-    The second value is the power (4,) of the part that is neither constant nor linear.
+    """Coefficients (ORDERS + 1, 4) of normalised Hermite polynomials of Gaussian signals, and the
+    power (4,) of the part that is neither constant nor linear.
     """
     u = np.linspace(-7.0, 7.0, 2801)
     weight = np.exp(-0.5 * u**2)

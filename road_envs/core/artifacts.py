@@ -11,9 +11,8 @@ An artifact is a JSON file of five header lines and its content:
      ...                     the content, a line for each key
     }
 
-Results of a board, estimator cards, rows of policies, attainable errors, identified vehicles and
-the kept outputs of studies are kinds of it. Whoever makes one computes its
-identity first; an artifact of the same identity, whole and undamaged, is taken instead.
+Whoever makes one computes its identity first; an artifact of the same identity, whole and
+undamaged, is taken instead.
 """
 
 import hashlib
@@ -29,11 +28,10 @@ from typing import Any, TypeVar
 from road_envs.core.atomic_io import write_text
 from road_envs.core.code_digest import ROOT, closure, digest
 from road_envs.core.config import ConfigError
-from road_envs.core.reading import regular
+from road_envs.core.reading import parsing, regular
 
 T = TypeVar("T")
 
-IDENTITY_DIGITS = 32
 CHECKSUM_PREFIX = '{\n "sha256": "'
 CHECKSUM_SUFFIX = '",\n'
 HEADER = ("sha256", "kind", "format", "made_by", "identity")
@@ -61,8 +59,7 @@ def code_version(*modules: str) -> str:
 class Kind:
     """A kind of artifact: its name, the version of its format, the modules that make it.
 
-    `modules` need not contain the module that reads it. They may be imported later: only their
-    files are read.
+    `modules` need not be imported: only their files are read.
     """
 
     name: str
@@ -73,7 +70,7 @@ class Kind:
         """Digest of this kind, its code, `files` by content, and `inputs` as JSON or by `str`."""
         parts = [self.name, self.format, code_version(*self.modules), digest(files), *inputs]
         text = json.dumps(parts, sort_keys=True, default=str)
-        return hashlib.sha256(text.encode()).hexdigest()[:IDENTITY_DIGITS]
+        return hashlib.sha256(text.encode()).hexdigest()[:32]
 
     def to_text(self, content: Mapping[str, Any], identity: str = "") -> str:
         """Text of an artifact; numbers that are not finite become null.
@@ -98,27 +95,20 @@ class Kind:
         Raises NewerFormatError for a newer format, ConfigError for any other fault.
         """
         what = f"{'an' if self.name[0] in 'aeiou' else 'a'} {self.name}"
-        try:
+        with parsing(path, ConfigError, "damaged, not valid JSON"):
             text = regular(path).read_text(encoding="utf-8")
             data = json.loads(text)
-        except OSError as error:
-            raise ConfigError(f"{path}: {error.strerror}") from None
-        except (ValueError, RecursionError) as error:
-            raise ConfigError(f"{path}: damaged, not valid JSON: {error}") from None
         if not isinstance(data, dict) or not isinstance(data.get("format"), int):
             raise ConfigError(f"{path}: not {what} (it has no format)")
         if data.get("kind", self.name) != self.name:
             raise ConfigError(f"{path}: not {what}, its kind is {data['kind']!r}")
+        written = f"{path}: written in format {data['format']}"
+        reads = f"this version reads {self.format}"
         if data["format"] > self.format:
-            raise NewerFormatError(
-                f"{path}: written in format {data['format']} by a newer version, this version "
-                f"reads {self.format}; use the newer version, or another folder"
-            )
+            what_now = "use the newer version, or another folder"
+            raise NewerFormatError(f"{written} by a newer version, {reads}; {what_now}")
         if data["format"] < self.format:
-            raise ConfigError(
-                f"{path}: written in format {data['format']}, this version reads {self.format}; "
-                "make it again"
-            )
+            raise ConfigError(f"{written}, {reads}; make it again")
         checksum = data.pop("sha256", None)
         if not text.startswith(f"{CHECKSUM_PREFIX}{checksum}{CHECKSUM_SUFFIX}"):
             raise ConfigError(f"{path}: not {what} (it does not begin with its checksum)")
@@ -132,8 +122,7 @@ class Kind:
     def find(self, path: Path, identity: str, make: Callable[[dict[str, Any]], T]) -> T | None:
         """Build `make(content)` of the artifact at `path`, if it has this identity.
 
-        None if it is missing, damaged, of another identity, or of content that `make` cannot read:
-        then it is made again.
+        None if it is missing, damaged, of another identity, or `make` cannot read its content.
         """
         try:
             data, _ = self.read(path)
@@ -153,12 +142,12 @@ class Kind:
         For caches: a folder that cannot be written is no reason to fail.
         """
         path = folder / self.name.replace(" ", "_") / f"{identity}.json"
-        if (found := self.find(path, identity, make)) is None:
-            content = nan_to_none(compute())
-            with suppress(OSError):
-                self.write(path, content, identity)
-            found = make(dict(content))
-        return found
+        if (found := self.find(path, identity, make)) is not None:
+            return found
+        content = nan_to_none(compute())
+        with suppress(OSError):
+            self.write(path, content, identity)
+        return make(dict(content))
 
 
 def _text_checksum(text: str) -> str:
@@ -179,9 +168,9 @@ def nan_to_none(value: Any) -> Any:
 
 
 def clean(folder: Path, delete: bool = True) -> list[Path]:
-    """Delete the undamaged artifacts below `folder` that other code has made; returns their paths.
+    """Delete the undamaged artifacts below `folder` that other code has made, if `delete` is true.
 
-    Files that are no artifacts, or say nothing of their code, stay. With `delete` False all stay.
+    Returns their paths. Files that are no artifacts, or say nothing of their code, stay.
     """
     found = []
     for path in sorted(folder.rglob("*.json")):
@@ -202,8 +191,7 @@ def _dump_by_lines(value: Any, depth: int = 2) -> str:
     """JSON with one line for each key down to `depth`; deeper levels are not split."""
     if depth and isinstance(value, dict) and value:
         indent = " " * (3 - depth)
-        lines = [
-            f"{indent}{json.dumps(k)}: {_dump_by_lines(v, depth - 1)}" for k, v in value.items()
-        ]
+        parts = [(json.dumps(k), _dump_by_lines(v, depth - 1)) for k, v in value.items()]
+        lines = [f"{indent}{key}: {part}" for key, part in parts]
         return "{\n" + ",\n".join(lines) + "\n" + indent[1:] + "}"
     return json.dumps(value, allow_nan=False)

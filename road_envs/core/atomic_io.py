@@ -17,8 +17,8 @@ from road_envs.core.config import ConfigError
 
 PARTIAL_SUFFIX = ".partial"  # suffix of a file that is still being written
 TEMP_PREFIX = "roadrecon-scratch-"  # prefix of the name of a temporary folder
+LOCK_FILE = ".owner"  # file in a temporary folder that its owner keeps locked while it runs
 STALE_AGE = 86400.0  # time [s] after which a partial file is no longer being written
-LOCK_INTERVAL = 0.02  # time [s] between two attempts to take a lock
 
 _counter = itertools.count()
 
@@ -27,9 +27,8 @@ _counter = itertools.count()
 def atomic_write(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside `path`, which replaces `path` when the block ends.
 
-    If the block raises, the temporary file is removed and `path` is unchanged. A `durable` file is
-    flushed to disk before the replacement, so that it survives a power failure. The error of a full
-    disk names `path`: that of a copy names its source.
+    If the block raises, `path` is unchanged. A `durable` file is flushed to disk before, so that it
+    survives a power failure. The error of a full disk names `path`: that of a copy its source.
     """
     path = Path(path)
     host = "".join(c for c in platform.node() if c.isalnum()) or "localhost"
@@ -69,8 +68,8 @@ def copy_file(source: Path, target: Path) -> None:
 def new_folder(path: Path) -> Iterator[Path]:
     """Yield an empty folder beside `path`, which gets that name when the block ends.
 
-    If the block raises, the folder is removed. Raises ConfigError if `path` exists, and while
-    another process makes it, which cannot be told where the file system has no locks.
+    If the block raises, the folder is removed. Raises ConfigError if `path` exists, and, where the
+    file system has locks, while another process makes it.
     """
     partial = path.with_name(f".{path.name}{PARTIAL_SUFFIX}")
     lock = partial.with_suffix(f".lock{PARTIAL_SUFFIX}")
@@ -106,22 +105,17 @@ def _fsync(path: Path) -> None:
         os.close(handle)
 
 
-LOCK_FILE = ".owner"  # file in a temporary folder that its owner keeps locked while it runs
-
-
 class TempFolder:
     """Temporary folder of one process, removed by `close` or by the `with` statement.
 
-    The folder of a killed process is removed by the next `remove_stale_temp`. Its lock is free by
-    then, whereas its process id may have been reused.
+    That of a killed process, whose lock is free, is removed by the next `remove_stale_temp`.
     """
 
     def __init__(self):
         self.path = Path(tempfile.mkdtemp(prefix=TEMP_PREFIX))
-        self._lock_handle: int | None = os.open(
-            self.path / LOCK_FILE, os.O_RDWR | os.O_CREAT, 0o600
-        )
-        _try_lock(self._lock_handle)
+        lock = os.open(self.path / LOCK_FILE, os.O_RDWR | os.O_CREAT, 0o600)
+        self._lock_handle: int | None = lock
+        _try_lock(lock)
 
     def __enter__(self) -> Path:
         return self.path
@@ -138,11 +132,8 @@ class TempFolder:
 
 def remove_stale_temp() -> list[Path]:
     """Remove this user's temporary folders whose owners have died, and return their paths."""
-    return [
-        folder
-        for folder in Path(tempfile.gettempdir()).glob(f"{TEMP_PREFIX}*")
-        if folder.is_dir() and _remove_if_orphaned(folder)
-    ]
+    folders = Path(tempfile.gettempdir()).glob(f"{TEMP_PREFIX}*")
+    return [folder for folder in folders if folder.is_dir() and _remove_if_orphaned(folder)]
 
 
 def _remove_if_orphaned(folder: Path) -> bool:
@@ -175,14 +166,14 @@ def exclusive_lock(path: Path, longest_wait: float) -> Iterator[bool]:
     try:
         end = time.monotonic() + longest_wait
         while not (is_alone := _try_lock(handle) is not False) and time.monotonic() < end:
-            time.sleep(LOCK_INTERVAL)
+            time.sleep(0.02)
         yield is_alone
     finally:
         os.close(handle)
 
 
 def _try_lock(handle: int) -> bool | None:
-    """Lock an open file. Returns False if another process holds the lock, None if there is none."""
+    """Lock an open file; False if another process holds the lock, None if there is none."""
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

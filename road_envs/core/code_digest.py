@@ -1,8 +1,7 @@
 """Digests of source code that change when the code does, and not with its comments or docstrings.
 
-A file counts by its syntax tree without docstrings, which is the same in every version of Python.
-Which files belong together is found by following import statements. Both are remembered by the
-content of the file, so that a process that finds nothing changed parses nothing.
+A file counts by its syntax tree without docstrings; which files belong together is found by
+following import statements. Both are remembered by the content of the file.
 """
 
 import ast
@@ -22,10 +21,7 @@ from road_envs.core.atomic_io import write_text
 ROOT = Path(__file__).parents[2]  # folder that holds the packages of this project
 
 PACKAGES = ("road_envs", "estimators", "leaderboard")
-
-DIGESTED = (*PACKAGES, "studies")
-"""Packages whose imports of one another are followed; the studies exist in a checkout alone."""
-
+DIGESTED = (*PACKAGES, "studies")  # imports of these are followed; studies are in a checkout alone
 DIGITS = 16  # hex digits of a digest
 LARGEST_MEMORY = 1000  # most files that are remembered from one process to the next
 
@@ -68,12 +64,9 @@ def closure(*modules: str, root: Path = ROOT) -> tuple[Path, ...]:
 def importers(folder: Path, module: str) -> list[Path]:
     """Return the files below `folder` that import something from `module`."""
     spelt = module.rpartition(".")[2].encode()  # most files need no parsing
-    paths = (path for path in sorted(folder.rglob("*.py")) if spelt in path.read_bytes())
-    return [
-        path
-        for path in paths
-        if any(name.partition(":")[0] == module for name in _source(path).imports)
-    ]
+    paths = [path for path in sorted(folder.rglob("*.py")) if spelt in path.read_bytes()]
+    imported = ({name.partition(":")[0] for name in _source(path).imports} for path in paths)
+    return [path for path, names in zip(paths, imported, strict=True) if module in names]
 
 
 def digest(paths: Iterable[Path], root: Path = ROOT) -> str:
@@ -84,10 +77,8 @@ def digest(paths: Iterable[Path], root: Path = ROOT) -> str:
     total = hashlib.sha256()
     for path in sorted(set(paths)):
         name = path.relative_to(root) if path.is_relative_to(root) else Path(path.name)
-        if path.suffix == ".py":
-            content = _source(path).digest
-        else:
-            content = hashlib.sha256(path.read_bytes()).hexdigest()
+        is_code = path.suffix == ".py"
+        content = _source(path).digest if is_code else _sha256(path.read_bytes())
         total.update(f"{name.as_posix()} {content}\n".encode())
     _save_memory()
     return total.hexdigest()[:DIGITS]
@@ -95,7 +86,7 @@ def digest(paths: Iterable[Path], root: Path = ROOT) -> str:
 
 @cache
 def _find_source(module: str, root: Path = ROOT) -> Path | None:
-    """Return the file of a module of this project; None for any other module."""
+    """The file of a module of this project; None for any other module."""
     if module.partition(".")[0] not in DIGESTED:
         return None
     path = root.joinpath(*module.split("."))
@@ -105,18 +96,14 @@ def _find_source(module: str, root: Path = ROOT) -> Path | None:
 
 def _is_text(statement: ast.AST) -> bool:
     """Return True for a bare string: a docstring of a module, class, function or name."""
-    match statement:
-        case ast.Expr(value=ast.Constant(value=str())):
-            return True
-    return False
+    value = getattr(statement, "value", None)
+    return isinstance(statement, ast.Expr) and isinstance(getattr(value, "value", None), str)
 
 
 def _source(path: Path) -> _Source:
     """Digest and imports of a file, parsed only if its content was never met before."""
-    text = path.read_bytes()
-    key = hashlib.sha256(text).hexdigest()
-    known = _memory()
-    if key not in known:
+    text, known = path.read_bytes(), _memory()
+    if (key := _sha256(text)) not in known:
         try:
             known[key] = _parse(text)
         except SyntaxError:  # in somebody else's package; it counts by every byte
@@ -126,7 +113,7 @@ def _source(path: Path) -> _Source:
 
 
 def _parse(text: bytes) -> _Source:
-    """Return digest and imports of this project's packages, wherever the statements stand."""
+    """Digest and imports of this project's packages, wherever the statements stand."""
     tree, names = ast.parse(text), dict[str, None]()
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
@@ -139,11 +126,15 @@ def _parse(text: bytes) -> _Source:
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             names.update(dict.fromkeys(f"{node.module}:{alias.name}" for alias in node.names))
     own = (name for name in names if name.partition(":")[0].partition(".")[0] in DIGESTED)
-    return _Source(hashlib.sha256(_dump(tree).encode()).hexdigest()[:DIGITS], tuple(own))
+    return _Source(_sha256(_dump(tree).encode())[:DIGITS], tuple(own))
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 def _dump(tree: ast.AST) -> str:
-    """Return the text of a syntax tree, alike in all versions of Python, unlike that of `ast.dump`.
+    """Text of a syntax tree, alike in all versions of Python, unlike that of `ast.dump`.
 
     New versions add fields, which are None or empty in old code; `kind` is the u of u"text".
     """
@@ -168,7 +159,7 @@ _parsed: list[str] = []  # contents that this process has parsed and not saved
 
 def _memory_file() -> Path:
     """File of this digest: of another one, or of what another Python can parse, it is no memory."""
-    own = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:8]
+    own = _sha256(Path(__file__).read_bytes())[:8]
     return cache_home() / f"sources-{own}-{sys.version_info[0]}{sys.version_info[1]}.json"
 
 
@@ -183,9 +174,8 @@ def _memory() -> dict[str, _Source]:
 
 def _save_memory() -> None:
     """Write what was parsed, whole or not at all; where that fails it is parsed again next time."""
-    if not _parsed:
-        return
-    _parsed.clear()
-    entries = dict(list(_memory().items())[-LARGEST_MEMORY:])
-    with suppress(OSError):
-        write_text(_memory_file(), json.dumps(entries))
+    if _parsed:
+        _parsed.clear()
+        entries = dict(list(_memory().items())[-LARGEST_MEMORY:])
+        with suppress(OSError):
+            write_text(_memory_file(), json.dumps(entries))

@@ -28,9 +28,8 @@ from road_envs.core.reading import parsing, regular
 
 T = TypeVar("T")
 
+# `__pydantic_config__` of every configuration dataclass
 STRICT = {"extra": "forbid", "arbitrary_types_allowed": True}
-"""Value of `__pydantic_config__` in every configuration dataclass."""
-
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -56,8 +55,8 @@ class UnknownKeyError(ConfigError, TypeError):
 class Settings:
     """Base class of dataclasses of settings.
 
-    `build` and direct construction check the ranges of the annotations, with the same messages. A
-    subclass adds rules between its fields in `__post_init__`, after `super().__post_init__()`.
+    `build` and direct construction check the ranges of the annotations. A subclass adds rules
+    between its fields in `__post_init__`, after `super().__post_init__()`.
     """
 
     __pydantic_config__ = STRICT
@@ -82,10 +81,7 @@ SmallestFirst = AfterValidator(_check_order)  # constraint on a pair of numbers
 
 
 def by_kind(default: str) -> Discriminator:
-    """Return what chooses one dataclass of a union of tagged ones by the key or field `kind`.
-
-    Without the key it is `default`.
-    """
+    """Chooser of one dataclass of a union of tagged ones by the key or field `kind`, if given."""
 
     def kind(value: Any) -> str:
         if isinstance(value, Mapping):
@@ -108,10 +104,7 @@ def names(kind: str) -> list[str]:
 
 
 def validate_choice(what: str, given: object, known: Mapping[str, Any] | list[str]) -> str:
-    """Return `given` if it is among `known`; otherwise raise a ConfigError with the choices.
-
-    `what` is the name of the kind of thing in the message.
-    """
+    """Return `given` if it is among `known`; else raise a ConfigError: unknown `what`, choices."""
     if isinstance(given, str) and given in known:
         return given
     close = difflib.get_close_matches(str(given), list(known), n=1)
@@ -120,10 +113,7 @@ def validate_choice(what: str, given: object, known: Mapping[str, Any] | list[st
 
 
 class _Strict:
-    """Part of a YAML loader that bounds the size of a document, and rejects duplicate keys.
-
-    Aliases let a file of 1 kB expand to any size. Plain YAML keeps the last of duplicate keys.
-    """
+    """Part of a YAML loader that bounds what aliases expand to, and rejects duplicate keys."""
 
     def get_single_node(self) -> yaml.Node | None:
         node = super().get_single_node()  # type: ignore[misc]
@@ -137,9 +127,8 @@ class _Strict:
         for key in (key for key in keys if isinstance(key, yaml.ScalarNode)):
             name, line = (key.tag, key.value), key.start_mark.line + 1
             if name in seen:
-                raise ConfigError(
-                    f"the key {key.value!r} is duplicated, in lines {seen[name]} and {line}"
-                )
+                lines = f"{seen[name]} and {line}"
+                raise ConfigError(f"the key {key.value!r} is duplicated, in lines {lines}")
             seen[name] = line
         return super().construct_mapping(node, deep)  # type: ignore[misc]
 
@@ -153,7 +142,7 @@ class _ShippedLoader(_Strict, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  #
 
 
 def _expanded_size(node: Any, known: dict[int, float]) -> float:
-    """Return the number of values of a node, aliases counted each time; infinite for a cycle."""
+    """Number of values of a node, aliases counted each time; infinite for a cycle."""
     if isinstance(node, tuple):
         return sum(_expanded_size(part, known) for part in node)
     if id(node) not in known:
@@ -177,10 +166,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 @lru_cache(maxsize=256)
 def _parse(text: str, shipped: bool) -> bytes:
-    """Return the content of a YAML text, pickled: each caller gets its own copy.
-
-    The parser in Python reads a vehicle in 10 ms, and the tasks of a board name the same few files.
-    """
+    """Content of a YAML text, pickled: each caller gets its own copy. Reading takes up to 10 ms."""
     return pickle.dumps(yaml.load(text, Loader=_ShippedLoader if shipped else _Loader))
 
 
@@ -227,7 +213,7 @@ def _adapter(cls: Any) -> TypeAdapter:
 
 @cache
 def _range_adapters(cls: Any) -> dict[str, TypeAdapter]:
-    """Return a validator of each field whose annotation has constraints."""
+    """A validator of each field whose annotation has constraints."""
     hints: dict[str, Any] = {f.name: f.type for f in dataclasses.fields(cls)}
     return {name: _validator(_unnoted(h)) for name, h in hints.items() if _is_constrained(h)}
 
@@ -241,20 +227,20 @@ def _unnoted(hint: Any) -> Any:
 
 
 def _is_constrained(hint: Any) -> bool:
-    notes = getattr(hint, "__metadata__", ())
-    return any(not isinstance(note, str) for note in notes) or any(
-        map(_is_constrained, get_args(hint))
-    )
+    own = any(not isinstance(note, str) for note in getattr(hint, "__metadata__", ()))
+    return own or any(map(_is_constrained, get_args(hint)))
 
 
 def _describe(errors: Sequence[Mapping[str, Any]], cls: type) -> str:
     """Return one sentence for the first error; the other errors are only counted."""
+
     # unknown keys first: a misspelt key also causes a "missing" error; then values of the right
     # type, because a union also reports that they are not of its other types
-    first = min(
-        errors,
-        key=lambda e: (e["type"] != UNKNOWN_KEY, e["type"] != "value_error" and not _range_of(e)),
-    )
+    def rank(error: Mapping[str, Any]) -> tuple[bool, bool]:
+        kind = error["type"]
+        return kind != UNKNOWN_KEY, kind != "value_error" and not _range_of(error)
+
+    first = min(errors, key=rank)
     places = {_field_of(error, cls)[1] for error in errors}
     (hint, loc, notes), value = _field_of(first, cls), first["input"]
     if first["type"] == UNKNOWN_KEY:
@@ -273,9 +259,8 @@ def _describe(errors: Sequence[Mapping[str, Any]], cls: type) -> str:
         text = str(first["ctx"]["error"])
     elif allowed := _range_of(first):
         unit, meaning, *_ = *notes, "", ""
-        text = (
-            f"must {allowed}, got {shown(value)}{unit and f' {unit}'}{meaning and f' ({meaning})'}"
-        )
+        text = f"must {allowed}, got {shown(value)}{unit and f' {unit}'}"
+        text += meaning and f" ({meaning})"
     else:
         text = f"{_expected(first)}, got {shown(value)} ({_type_name(value)})"
     at = ".".join(map(str, loc))
@@ -283,23 +268,15 @@ def _describe(errors: Sequence[Mapping[str, Any]], cls: type) -> str:
     return (f"{at}: {text}" if at else text) + more
 
 
-YAML_KINDS = {
-    "bool": "true or false",
-    "dataclass": "a mapping of keys to values",
-    "dict": "a mapping of keys to values",
-    "float": "a number",
-    "int": "a whole number",
-    "list": "a list",
-    "str": "text",
-    "string": "text",
-    "tuple": "a list",
-    "NoneType": "nothing",
-}
-"""Kinds of YAML values in plain words, by the names that Python and Pydantic have for them."""
+# kinds of YAML values in plain words, by the names that Python and Pydantic have for them
+YAML_KINDS = dict(bool="true or false", float="a number", int="a whole number", NoneType="nothing")
+YAML_KINDS |= dict.fromkeys(("dataclass", "dict"), "a mapping of keys to values")
+YAML_KINDS |= dict.fromkeys(("list", "tuple"), "a list")
+YAML_KINDS |= dict.fromkeys(("str", "string"), "text")
 
 
 def _expected(error: Mapping[str, Any]) -> str:
-    """Return what a value must be, in the words of a YAML file instead of Pydantic's."""
+    """What a value must be, in the words of a YAML file instead of Pydantic's."""
     if error["type"] == "literal_error":
         return f"must be {error['ctx']['expected']}"
     expected = YAML_KINDS.get(error["type"].partition("_")[0])
@@ -307,7 +284,7 @@ def _expected(error: Mapping[str, Any]) -> str:
 
 
 def _range_of(error: Mapping[str, Any]) -> str:
-    """Return the range that a value is outside of; empty if the error is another one."""
+    """The range that a value is outside of; empty if the error is another one."""
     match error["type"], error.get("ctx"):
         case "finite_number", _:
             return "be finite"
@@ -327,10 +304,9 @@ def _range_of(error: Mapping[str, Any]) -> str:
 
 
 def _field_of(error: Mapping[str, Any], cls: type) -> tuple[Any, tuple[Any, ...], list[str]]:
-    """Return the annotation of what is wrong, its place, and the unit and meaning of its field.
+    """The annotation of what is wrong, its place, and the unit and meaning of its field.
 
-    The place has the parts of the error's location that are a field, a key or an index, not those
-    that are branches of unions.
+    The place has the fields, keys and indices of the error's location, not branches of unions.
     """
     hint: Any = cls
     place: tuple[Any, ...] = ()
@@ -347,15 +323,14 @@ def _field_of(error: Mapping[str, Any], cls: type) -> tuple[Any, tuple[Any, ...]
             types = {part: (*get_args(owner), None)[0 if isinstance(part, int) else 1]}
         if part in types:
             hint, place = types[part], (*place, part)
-            own = [n for n in getattr(hint, "__metadata__", ()) if isinstance(n, str)]
-            notes = own or notes
+            notes = [x for x in getattr(hint, "__metadata__", ()) if isinstance(x, str)] or notes
     if error["type"] == UNKNOWN_KEY:
         place = (*place, error["loc"][-1])
     return hint, place, notes
 
 
 def _tagged(hint: Any) -> dict[Any, Any]:
-    """Return the branches of a union by their tags; empty if the type is none of tagged ones."""
+    """Branches of a union by their tags; empty if the type is none of tagged ones."""
     while get_origin(hint) is Annotated:
         hint = get_args(hint)[0]
     tags = [(note, b) for b in _branches(hint) for note in getattr(b, "__metadata__", ())]
@@ -363,7 +338,7 @@ def _tagged(hint: Any) -> dict[Any, Any]:
 
 
 def _bare(hint: Any) -> Any:
-    """Return a type without annotations; of a union its dataclass, or else its first type."""
+    """A type without annotations; of a union its dataclass, or else its first type."""
     if get_origin(hint) is Annotated:
         return _bare(get_args(hint)[0])
     types = [_bare(branch) for branch in _branches(hint)] or [hint]

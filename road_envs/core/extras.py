@@ -24,10 +24,7 @@ class MissingExtraError(ImportError):
 
 @contextmanager
 def optional_import(purpose: str) -> Iterator[None]:
-    """Turn a failed import inside the block into one sentence that names the extra.
-
-    `purpose` completes "... needs". Raises MissingExtraError.
-    """
+    """Turn a failed import inside the block into a MissingExtraError: `purpose` needs the extra."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -57,7 +54,5 @@ def missing_extra(error: ModuleNotFoundError, purpose: str) -> str:
     extra = next((name for name, modules in EXTRAS.items() if module in modules), None)
     if extra is None:
         return f"{purpose} needs the package {module!r}, which is not installed"
-    return (
-        f"{purpose} needs the extra {extra!r} (no module named {module!r}): "
-        f"pip install 'road-envs[{extra}]'"
-    )
+    needs = f"{purpose} needs the extra {extra!r} (no module named {module!r})"
+    return f"{needs}: pip install 'road-envs[{extra}]'"

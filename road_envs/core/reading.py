@@ -14,15 +14,10 @@ import numpy as np
 
 from road_envs.core.extras import MissingExtraError, import_pyarrow
 
-MAX_COMPRESSION = 100
-"""Largest ratio of uncompressed to stored bytes; guards against decompression bombs."""
-
+MAX_COMPRESSION = 100  # largest ratio of uncompressed to stored bytes, against decompression bombs
 MAX_CELLS = 2**28
-"""Most cells of a Parquet file: ten hours of 70 columns at 100 Hz, 2 GiB of numbers.
-
-Run lengths make a constant column of any length a few bytes, so the size of a file is no bound.
-"""
-
+"""Most cells of a Parquet file: ten hours of 70 columns at 100 Hz, 2 GiB of numbers. The size of a
+file is no bound: run lengths make a constant column of any length a few bytes."""
 MAX_MESSAGE = 300  # characters of a parser's message that are repeated
 
 
@@ -30,9 +25,8 @@ MAX_MESSAGE = 300  # characters of a parser's message that are repeated
 def parsing(path: str | Path, error: type[Exception], reason: str) -> Iterator[None]:
     """Turn any exception inside the block into an `error` of one sentence that names the file.
 
-    Parsers of other packages answer hostile bytes with exceptions of any class (MemoryError,
-    RecursionError, NotImplementedError, ...). An `error` raised inside is prefixed by the path
-    alone, unless it has it, others by `reason`, such as "not valid YAML".
+    Parsers of other packages answer hostile bytes with exceptions of any class. An `error` raised
+    inside gets the path alone, if it lacks it, others also the `reason`, such as "not valid YAML".
     """
     try:
         yield
@@ -69,9 +63,8 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
 
 
 def read_zip(path: Path) -> dict[str, bytes]:
-    """Return the files in a zip archive by name.
+    """Return the files in a zip archive by name; their stated sizes are checked before.
 
-    The sizes that the archive states are compared with its bytes before anything is unpacked.
     Raises an exception of any class if it is damaged: call it inside `parsing`.
     """
     with zipfile.ZipFile(io.BytesIO(data := regular(path).read_bytes())) as archive:
@@ -94,9 +87,8 @@ def read_parquet(path: Path) -> Any:
         if file.read(4) != b"PAR1":
             raise ValueError("it does not begin with PAR1")
     size = path.stat().st_size
-    with pq.ParquetFile(
-        path, thrift_string_size_limit=size, thrift_container_size_limit=size
-    ) as file:
+    limits = {"thrift_string_size_limit": size, "thrift_container_size_limit": size}
+    with pq.ParquetFile(path, **limits) as file:
         about = file.metadata
         for k in range(about.num_row_groups):
             # an error in the metadata of a column raises here; `column` below would end Python

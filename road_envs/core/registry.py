@@ -32,17 +32,16 @@ class Registry(Generic[T]):
     def available(self) -> dict[str, type[T]]:
         """Return all classes by name, those of other packages included.
 
-        A plug-in that cannot be loaded is skipped with a PluginWarning. Raises ConfigError if a
-        package declares a name that is taken.
+        A plug-in that cannot be loaded is skipped with a PluginWarning. Raises ConfigError.
         """
         classes = dict(self.classes)
         for name, entry in self._plugins().items():
             try:
                 classes[name] = self.check(entry.load())
             except Exception as error:  # a faulty package must not disable the other plug-ins
-                reason = f"is skipped: {type(error).__name__}: {error}"
-                text = f"the {self.kind} {name!r} of {entry.value} {reason}"
-                warnings.warn(text, PluginWarning, stacklevel=2)
+                text = f"the {self.kind} {name!r} of {entry.value} is skipped"
+                reason = f"{type(error).__name__}: {error}"
+                warnings.warn(f"{text}: {reason}", PluginWarning, stacklevel=2)
         return classes
 
     def names(self) -> list[str]:
@@ -50,9 +49,7 @@ class Registry(Generic[T]):
         return [*self.classes, *self._plugins()]
 
     def find(self, name: str) -> type[T]:
-        """Return the class `name`, loading its package only. Raises ConfigError if the name is
-        unknown or its class cannot be used.
-        """
+        """Return the class `name`, loading its package only. Raises ConfigError."""
         plugins = self._plugins()
         validate_choice(self.kind, name, [*self.classes, *plugins])
         if name in self.classes:
@@ -70,10 +67,7 @@ class Registry(Generic[T]):
         return self._plugins()[validate_choice(self.kind, name, list(self._plugins()))].value
 
     def create(self, name: str, settings: Mapping[str, Any], defaults: Mapping[str, Any]) -> T:
-        """Return an object with these `settings`, which override `defaults`.
-
-        Raises ConfigError, which lists the choices, if the name, a setting or a value is wrong.
-        """
+        """Return an object with these `settings`, which override `defaults`. Raises ConfigError."""
         cls: Any = self.find(name)
         known = [field.name for field in dataclasses.fields(cls) if field.init]
         for setting in settings:
@@ -81,7 +75,7 @@ class Registry(Generic[T]):
         return build(cls, {**defaults, **settings}, name)
 
     def _plugins(self) -> dict[str, metadata.EntryPoint]:
-        """Return the entry points of other packages by name. Raises ConfigError on a duplicate."""
+        """Entry points of other packages by name. Raises ConfigError if a name is taken."""
         plugins: dict[str, metadata.EntryPoint] = {}
         for entry in metadata.entry_points(group=self.group):
             if entry.name in self.classes or entry.name in plugins:

@@ -4,18 +4,16 @@ A kernel is a module-level function of scalars, arrays and records of numbers; i
 arrays handed to it, calls other kernels directly and never receives a function as argument.
 
 Numba's own disk cache is keyed by the file of a function and the line it stands in: it misses a
-change in a callee, and it compiles again after any edit of a comment. Here the cache folder is
-named after the code of all files that hold kernels and of what these import, without docstrings,
-comments and layout, and inside it a kernel is found by its module and name. A kernel is compiled by
-one process at a time; others that need it wait and load it. (Numba's index of a kernel's signatures
-also is not safe against two writers.)
+change in a callee, and compiles again after any edit of a comment. Here the cache folder is named
+after the code of all files that hold kernels and of what these import, and inside it a kernel is
+found by its module and name. A kernel is compiled by one process at a time; others that need it
+wait and load it: Numba's index of a kernel's signatures is not safe against two writers.
 
 A kernel that is called by another one is a part of it: it gets no machine code, no wrapper for
 Python and no place in the cache of its own, which halves the time to a first step.
 
-This is the one module that imports private parts of Numba (below `numba.core` and `numba.np`); what
-others need of them, they import from here. They may change with any release, so `pyproject.toml`
-has an upper bound of Numba's version.
+This is the one module that imports private parts of Numba (below `numba.core` and `numba.np`),
+which may change with any release: `pyproject.toml` has an upper bound of its version.
 """
 
 import logging
@@ -32,12 +30,8 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.runtime import rtsys
 from numba.core.targetconfig import ConfigStack
-from numba.core.typing.templates import (
-    AbstractTemplate,
-    infer_global,
-    make_concrete_template,
-    signature,
-)
+from numba.core.typing import templates
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.np.random import _constants as ziggurat
 
 from road_envs.core.atomic_io import exclusive_lock
@@ -48,8 +42,8 @@ __all__ = [  # of Numba's private parts, those that other modules of this folder
 ]  # fmt: skip
 
 F = TypeVar("F", bound=Callable[..., Any])
-
 HERE = Path(__file__).parents[1]
+MAX_WAIT = 300.0  # longest wait [s] for another process that compiles a kernel; then also here
 
 
 def populate_array(*args: Any, **fields: Any) -> Any:
@@ -57,10 +51,6 @@ def populate_array(*args: Any, **fields: Any) -> Any:
     from numba.np import arrayobj  # slow to import, and needed only where a kernel is compiled
 
     return arrayobj.populate_array(*args, **fields)
-
-
-MAX_WAIT = 300.0
-"""Longest wait [s] for another process that compiles a kernel; then it is compiled here too."""
 
 
 def _kernel_files(folder: Path) -> list[Path]:
@@ -71,8 +61,8 @@ def _kernel_files(folder: Path) -> list[Path]:
     return [*files, *closure(*names, root=root)]
 
 
+# folder of the compiled kernels of this package; those of other packages stand in it
 CACHE = cache_home() / digest(_kernel_files(HERE))
-"""Folder of the compiled kernels of this package; those of other packages stand in it."""
 
 
 @cache
@@ -127,11 +117,10 @@ class _KernelCache(caching.FunctionCache):
         self.counts_references = counts_references
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load compiled code without numba's registries, which only a compilation needs.
+        """Load compiled code without numba's registries, a third of the time to the first step.
 
-        They take a third of the time to the first step. A compilation that follows loads them.
-        Nor is Numba's runtime, which itself is compiled in every process, needed by code that
-        counts no references.
+        A compilation that follows loads them. Nor is Numba's runtime, which itself is compiled in
+        every process, needed by code that counts no references.
         """
         if self.counts_references:
             rtsys.initialize(target_context)
@@ -154,23 +143,25 @@ class _PartOfKernel(JITCodeLibrary):
 
 
 class _InKernels:
-    """Typing of a dispatcher for numba where compiled code calls it: signatures and their code."""
+    """Typing of a dispatcher for numba where compiled code calls it.
+
+    `compiled`: signature, key of the code, by argument types and whether references are counted.
+    """
 
     def __init__(self, dispatcher: Any):
-        self.dispatcher = dispatcher
-        self.compiled: dict[Any, Any] = {}
-        """Signature and key of the code, by argument types and whether references are counted."""
+        self.dispatcher, self.compiled = dispatcher, dict[Any, Any]()
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Return the typing of a call, as `Dispatcher.get_call_template`; compile if needed."""
-        kernel, name = self.dispatcher, self.dispatcher.py_func.__name__
-        pysig, folded = kernel._compiler.fold_argument_types(args, kws)
+        name = self.dispatcher.py_func.__name__
+        pysig, folded = self.dispatcher._compiler.fold_argument_types(args, kws)
         kinds = tuple(map(types.unliteral, folded))  # one code for all wheels, not one for each
         counted = bool(ConfigStack().top().nrt)
         if (kinds, counted) not in self.compiled:
             self.compiled[kinds, counted] = self._compile(kinds, counted)
         signatures = [self.compiled[kinds, counted][0]]
-        return make_concrete_template(name, key=name, signatures=signatures), pysig, kinds, {}
+        typing = templates.make_concrete_template(name, key=name, signatures=signatures)
+        return typing, pysig, kinds, {}
 
     def get_overload(self, sig: Any) -> Any:
         """Return the key of the code for a signature, as `Dispatcher.get_overload`."""
@@ -214,24 +205,17 @@ def kernel(
     called seldom, so that it compiles once. IEEE arithmetic, except that a*b + c may be contracted
     and x / c become x * (1 / c).
 
-    A kernel that Python calls and that creates and returns no array, nor do those that it calls,
-    need not `count_references` to arrays: a view in a loop may take longer than the arithmetic on
-    it, since the counters are atomic. Numba refuses to compile it if it does create one.
+    Where neither a kernel nor those that it calls create or return an array, it need not
+    `count_references` to arrays: a view in a loop may take longer than the arithmetic on it, since
+    the counters are atomic. Numba refuses to compile it if it does create one.
     """
     if function is None:
         return partial(kernel, inline=inline, count_references=count_references)
-    counting: Any = {"_nrt": count_references}  # an option of Numba that its types leave out
-    compiled: Any = numba.njit(
-        error_model="numpy",
-        fastmath={"contract", "arcp"},
-        forceinline=inline,
-        nogil=True,
-        **counting,
-    )(function)
+    options: Any = {"fastmath": {"contract", "arcp"}, "nogil": True, "_nrt": count_references}
+    compiled: Any = numba.njit(error_model="numpy", forceinline=inline, **options)(function)
     if hasattr(compiled, "_cache"):  # NUMBA_DISABLE_JIT leaves a plain function
         with suppress(RuntimeError):  # nowhere to write: compiled anew in every process
-            # as `cache=True`, with the key above
-            compiled._cache = _KernelCache(function, count_references)
+            compiled._cache = _KernelCache(function, count_references)  # as `cache=True`
             name = f"{function.__module__}.{function.__name__}.lock"
             lock = Path(compiled._cache.cache_path, name)
             compile_signature = compiled.compile

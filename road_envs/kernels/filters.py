@@ -9,8 +9,7 @@ from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd_arrays import get, put
 from road_envs.records.record import F_C
 
-LOW_PASS_ORDER = 4
-"""Order of the Butterworth low-pass of the processing."""
+LOW_PASS_ORDER = 4  # of the Butterworth low-pass of the processing
 
 
 @kernel
@@ -32,8 +31,8 @@ def filter_sample(sos, filter_state, row, x):
 def sosfilt_kernel(sos, filter_state, x, out):
     """Filter the rows of `x` (k, N) by second-order sections (n, 6) into `out` (k, N).
 
-    `filter_state` (n, k, 2) is updated in place; it is the `zi` of `scipy.signal.sosfilt` in the
-    same layout. SciPy's filter takes ten times as long on the 50 samples of a control interval.
+    `filter_state` (n, k, 2), updated in place, is the `zi` of `scipy.signal.sosfilt`, which takes
+    ten times as long on the 50 samples of a control interval.
     """
     for row in range(x.shape[0]):
         for j in range(x.shape[1]):
@@ -56,9 +55,8 @@ def _low_pass(order: int, f_c: float, fs: float) -> np.ndarray:
 def butterworth_sos(order: int, f_c: float, fs: float) -> np.ndarray:
     """Return second-order sections (order / 2, 6) of a Butterworth low-pass of even order.
 
-    `f_c` is the cut-off and `fs` the sampling rate [Hz]. The sections are those of
-    `scipy.signal.butter`, by the bilinear transform; importing that takes longer than all the rest
-    of an environment's start.
+    `f_c` is the cut-off and `fs` the sampling rate [Hz]. They are those of `scipy.signal.butter`,
+    an import of which takes longer than all the rest of an environment's start.
     """
     return _low_pass(order, f_c, fs).copy()
 
@@ -68,10 +66,9 @@ def preprocess_accelerations(
 ) -> np.ndarray:
     """Return accelerations (k, N) [m/s²] without their mean, low-passed at `f_c` [Hz].
 
-    Offline the mean is subtracted, and the filter runs forwards and backwards without delay; the
-    two passes together attenuate by 6 dB at `f_c`. If `causal`, a first-order high-pass at 0.05 Hz
-    replaces the subtraction, and the filter runs forwards only. Raises ValueError if samples are
-    not finite or fewer than the filter length.
+    The filter runs forwards and backwards without delay; both passes attenuate by 6 dB at `f_c`. If
+    `causal`, a first-order high-pass at 0.05 Hz replaces the subtraction, and the filter runs
+    forwards only. Raises ValueError if samples are not finite or fewer than the filter length.
     """
     if not np.isfinite(a).all():
         raise ValueError("accelerations must be finite: bridge lost samples first")

@@ -3,8 +3,7 @@
 PCG64 permutes the state of a linear congruential generator of 128 bits to 64 (O'Neill 2014, "PCG",
 Harvey Mudd College, HMC-CS-2014-0905: XSL-RR). The ziggurat (Marsaglia & Tsang 2000, J. Stat.
 Softw. 5(8)) takes 8 of them for the layer, one for the sign and 52 for the place in it. Inlined it
-takes a third of the time of a call of `Generator.standard_normal`, and the numbers of an interval
-are used while they are in the caches.
+takes a third of the time of a call of `Generator.standard_normal`.
 """
 
 from typing import Any
@@ -16,11 +15,8 @@ from numba import types
 from road_envs.kernels._numba import kernel, ziggurat
 from road_envs.kernels.simd import intrinsic
 
-MULTIPLIER = 0x2360ED051FC65DA44385DF649FCCF645
-"""Of the congruential generator (`PCG_DEFAULT_MULTIPLIER_128`)."""
-
-DENSITIES = ziggurat.fi_double
-"""Of the normal distribution at the edges of the 256 layers."""
+MULTIPLIER = 0x2360ED051FC65DA44385DF649FCCF645  # `PCG_DEFAULT_MULTIPLIER_128`
+DENSITIES = ziggurat.fi_double  # of the normal distribution at the edges of the 256 layers
 WIDTHS = np.append(ziggurat.wi_double, -ziggurat.wi_double)
 LIMITS = np.tile(ziggurat.ki_double.astype(np.int64), 2)
 """Of the layers, for both signs: width per unit of the 52 bits, and the greatest place at which a
@@ -101,8 +97,7 @@ def _draw_outside(state, k, bits):
 def fill_normal(state, lanes, out):
     """Fill the first `lanes` of `out` (rows, n, LANES) with standard normal numbers, rows first.
 
-    `state` (4, LANES) of `generator_state` is advanced in these lanes. They take turns, since a
-    generator's next state waits for its last one.
+    `state` (4, LANES) of `generator_state` is advanced. Lanes take turns: each waits for its last.
     """
     for i in range(out.shape[1]):
         for j in range(out.shape[0]):

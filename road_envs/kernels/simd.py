@@ -2,14 +2,13 @@
 
 LLVM maps it to the vector registers of the machine: one of AVX-512, two of AVX2, four of SSE2.
 Kernels that support it read and write through `get`, `put` and `add` (`simd_arrays.py`), and branch
-through `maximum`, `minimum` and `if_positive`, which are conditional expressions on numbers.
-Without compilation (`py_func`) only numbers exist. As in every kernel, a*b + c may be contracted
-to a fused operation and x / c may become x * (1 / c).
+through `maximum`, `minimum` and `if_positive`. Without compilation (`py_func`) only numbers exist.
 
 Each operation is typed and lowered directly: an `overload` would be compiled for every combination
 of argument types, which took a tenth of the time to a first step.
 """
 
+import functools
 import operator
 from collections.abc import Callable
 from typing import Any
@@ -67,10 +66,7 @@ def _broadcast_all(context, builder, signature, values):
 
 
 def typed(function: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Register the decorated function as typing of `function`.
-
-    It returns the signature for types of arguments, or None for those it does not know.
-    """
+    """Register the decorated function, from types of arguments to a signature, for `function`."""
 
     def decorate(find: Callable[..., Any]) -> Callable[..., Any]:
         class Template(AbstractTemplate):
@@ -169,13 +165,11 @@ def sum_lanes(context, x):
     """Return the sum of all lanes of a vector, as a number: halves are added to halves."""
 
     def generate(context, builder, signature, values):
-        total, width = values[0], LANES
-        while width > 1:
-            width //= 2
-            low, high = (
-                shuffled(builder, total, total, list(range(at, at + width))) for at in (0, width)
-            )
-            total = builder.fadd(low, high, flags=FLAGS)
+        total, lanes = values[0], list(range(LANES))
+        while len(lanes) > 1:
+            half = len(lanes) // 2
+            low, high = (shuffled(builder, total, total, x) for x in (lanes[:half], lanes[half:]))
+            total, lanes = builder.fadd(low, high, flags=FLAGS), lanes[:half]
         return builder.extract_element(total, ir.Constant(INT32, 0))
 
     return types.float64(x), generate
@@ -206,37 +200,25 @@ def any_positive(x):
     return x > 0.0
 
 
-for _test in (equals_one, is_zero_or_one, any_positive):
-    typed(_test)(lambda x: signature(types.boolean, x))
+def _register_test(function: Any, comparison: str, *numbers: float) -> None:
+    """Lower a test of all lanes for equality to one of `numbers`, or of any for being greater."""
+    typed(function)(lambda x: signature(types.boolean, x))
+
+    @lower_builtin(function, types.Any)
+    def lower(context, builder, signature, values):
+        (x,) = values
+        flags = [builder.fcmp_ordered(comparison, x, _constant(x.type, n)) for n in numbers]
+        found = functools.reduce(builder.or_, flags)
+        if found.type == ir.IntType(1):
+            return found
+        bits = builder.bitcast(found, ir.IntType(LANES))  # one of each lane
+        expected = ("==", -1) if comparison == "==" else ("!=", 0)
+        return builder.icmp_unsigned(expected[0], bits, ir.Constant(bits.type, expected[1]))
 
 
-def _compare_lanes(builder, flags, comparison, expected):
-    """Compare the `flags` of all lanes, one bit each, as an integer; one flag is the answer."""
-    if flags.type == ir.IntType(1):
-        return flags
-    bits = builder.bitcast(flags, ir.IntType(LANES))
-    return builder.icmp_unsigned(comparison, bits, ir.Constant(bits.type, expected))
-
-
-@lower_builtin(equals_one, types.Any)
-def _equals_one(context, builder, signature, values):
-    (x,) = values
-    one = builder.fcmp_ordered("==", x, _constant(x.type, 1.0))
-    return _compare_lanes(builder, one, "==", -1)
-
-
-@lower_builtin(is_zero_or_one, types.Any)
-def _is_zero_or_one(context, builder, signature, values):
-    (x,) = values
-    zero, one = (builder.fcmp_ordered("==", x, _constant(x.type, number)) for number in (0.0, 1.0))
-    return _compare_lanes(builder, builder.or_(zero, one), "==", -1)
-
-
-@lower_builtin(any_positive, types.Any)
-def _any_positive(context, builder, signature, values):
-    (x,) = values
-    above = builder.fcmp_ordered(">", x, _constant(x.type, 0.0))
-    return _compare_lanes(builder, above, "!=", 0)
+_register_test(equals_one, "==", 1.0)
+_register_test(is_zero_or_one, "==", 0.0, 1.0)
+_register_test(any_positive, ">", 0.0)
 
 
 def power(x, n):
@@ -269,11 +251,10 @@ typed(integer_part)(elementwise)
 
 @lower_builtin(integer_part, types.Any)
 def _integer_part(context, builder, signature, values):
-    whole = builder.fptosi(values[0], integers(values[0].type))
-    return builder.sitofp(whole, values[0].type)
+    (x,) = values
+    return builder.sitofp(builder.fptosi(x, integers(x.type)), x.type)
 
 
 def integers(kind):
     """Return the LLVM type of integers, one for each double of `kind`."""
-    integer = ir.IntType(64)
-    return ir.VectorType(integer, LANES) if kind == LLVM_VECTOR else integer
+    return ir.VectorType(ir.IntType(64), LANES) if kind == LLVM_VECTOR else ir.IntType(64)

@@ -6,9 +6,8 @@ of LANES they operate on all lanes: an index with one dimension less selects a r
     get(q, j)      q (7,)     a float         q (7, LANES)     a vector
     get(p.x_1)     a float    a float         (LANES,)         a vector
 
-A row of lanes that is stored in single precision or as bytes is read as a vector of doubles, and
-one in single precision is written from it.
-Indices are not negative. Without compilation (`py_func`) only the scalar column exists.
+A row of lanes in single precision is read as a vector of doubles and written from it; one of bytes
+is read so. Indices are not negative. Without compilation (`py_func`) only numbers exist.
 """
 
 from typing import Any
@@ -35,10 +34,9 @@ from road_envs.kernels.simd import (
 
 
 def stack_array(rows):
-    """Return an uninitialised array (rows,) on the stack of the kernel that calls this.
+    """Return an uninitialised array (rows,) on the stack of the kernel, which it must not outlive.
 
-    The compiler keeps it apart from all other memory, so that it holds values in registers and
-    reorders loads and stores around it. It must not outlive the kernel, and `rows` is a constant.
+    The compiler keeps it apart from other memory, and its values in registers; `rows` is constant.
     """
     return np.empty(rows)
 
@@ -62,14 +60,9 @@ def _register_on_stack(function: Any, *lanes: int) -> None:
         store = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), int(np.prod(shape))))
         store.align = 64
         array = context.make_array(signature.return_type)(context, builder)
-        populate_array(
-            array,
-            builder.bitcast(store, array.data.type),
-            [context.get_constant(types.intp, n) for n in shape],
-            [context.get_constant(types.intp, n) for n in strides],
-            context.get_constant(types.intp, 8),
-            meminfo=None,
-        )
+        sizes = [[context.get_constant(types.intp, n) for n in x] for x in (shape, strides, [8])]
+        data = builder.bitcast(store, array.data.type)
+        populate_array(array, data, sizes[0], sizes[1], sizes[2][0], meminfo=None)
         return array._getvalue()
 
 
@@ -104,10 +97,6 @@ def _find_put(a, i, x):
     return signature(types.none, a, types.intp, x if kind == vector else kind)
 
 
-typed(put)(_find_put)
-typed(add)(_find_put)
-
-
 def _address(context, builder, kind, array, indices):
     """Return the address of an element, or of the row of lanes, of an array."""
     struct = context.make_array(kind)(context, builder, array)
@@ -139,24 +128,24 @@ def _get(context, builder, signature, values):
     return widen(value, LLVM_VECTOR)
 
 
-@lower_builtin(put, types.VarArg(types.Any))
-def _put(context, builder, signature, values):
-    array, _, x = signature.args
-    at = _address(context, builder, array, values[0], values[1:2])
-    value = as_vector(context, builder, values[2], x) if array.ndim > 1 else values[2]
-    if array.ndim > 1 and array.dtype == types.float32:
-        value = builder.fptrunc(value, ir.VectorType(ir.FloatType(), LANES))
-    builder.store(value, at).align = 8
-    return context.get_dummy_value()
+def _register_store(function: Any, adds: bool) -> None:
+    typed(function)(_find_put)
+
+    @lower_builtin(function, types.VarArg(types.Any))
+    def lower(context, builder, signature, values):
+        array, _, x = signature.args
+        at = _address(context, builder, array, values[0], values[1:2])
+        value = as_vector(context, builder, values[2], x) if array.ndim > 1 else values[2]
+        if adds:
+            value = builder.fadd(_load(builder, at), value, flags=FLAGS)
+        elif array.ndim > 1 and array.dtype == types.float32:
+            value = builder.fptrunc(value, ir.VectorType(ir.FloatType(), LANES))
+        builder.store(value, at).align = 8
+        return context.get_dummy_value()
 
 
-@lower_builtin(add, types.VarArg(types.Any))
-def _add(context, builder, signature, values):
-    array, _, x = signature.args
-    at = _address(context, builder, array, values[0], values[1:2])
-    value = as_vector(context, builder, values[2], x) if array.ndim > 1 else values[2]
-    builder.store(builder.fadd(_load(builder, at), value, flags=FLAGS), at).align = 8
-    return context.get_dummy_value()
+_register_store(put, adds=False)
+_register_store(add, adds=True)
 
 
 def load_four(array, first, stride, i):

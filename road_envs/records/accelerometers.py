@@ -14,7 +14,6 @@ from pydantic import AfterValidator, Field, TypeAdapter
 from road_envs.core.config import NonNegative, Settings, build
 
 MAX_ACCELEROMETERS = 32  # most accelerometers of one vehicle
-
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
@@ -50,7 +49,6 @@ class Accelerometer(Settings):
 
 
 def _check_layout(layout: Mapping[str, Accelerometer]) -> Mapping[str, Accelerometer]:
-    """Return `layout` unless its size or a name is invalid. Raises ValueError."""
     if not 1 <= len(layout) <= MAX_ACCELEROMETERS:
         raise ValueError(f"give 1 to {MAX_ACCELEROMETERS} accelerometers, got {len(layout)}")
     for name in layout:

@@ -1,8 +1,6 @@
-"""Data classes of the benchmark: record, profile and estimate.
+"""Data classes of the benchmark: record, profile and estimate. SI units.
 
-A record holds the measured signals of a drive, a profile the heights of both wheel paths (the truth
-if it is that of the road). The order of wheel paths is left, right; that of wheels FL, FR, RL, RR;
-that of the paper's sensors RF, LR, RR. SI units.
+The order of wheel paths is left, right; that of wheels FL, FR, RL, RR.
 """
 
 from collections.abc import Mapping
@@ -13,27 +11,18 @@ import numpy as np
 
 from road_envs.records.accelerometers import Accelerometer
 
-SENSORS = ("RF", "LR", "RR")
-"""The paper's accelerometers, on the body at right front, left rear and right rear."""
-
-PROFILE_SPACING = 100.0 / 3964
-"""Spacing of the stations of a profile [m], as in the paper: 3964 over 100 m (section 5)."""
-
-SCORED_N_MIN = 0.2  # lower limit of the band [cycles/m] in which heights are scored
-SCORED_N_MAX = 1.8  # upper limit of that band [cycles/m]
+SENSORS = ("RF", "LR", "RR")  # the paper's, on the body at right front, left rear, right rear
+PROFILE_SPACING = 100.0 / 3964  # of a profile's stations [m], as in the paper (section 5)
+SCORED_N_MIN, SCORED_N_MAX = 0.2, 1.8  # band [cycles/m] in which heights are scored
 F_C = 25.0  # cut-off of the low-pass of the processed accelerations [Hz]
-
-SCORED_F_MAX = 0.9 * F_C
-"""Highest scored frequency [Hz]: nine tenths of the cut-off of the accelerometers' low-pass."""
-
-LEAST_GAIN = 0.1
-"""Least gain of a low-pass that is undone: noise of the processing behind it rises tenfold."""
+SCORED_F_MAX = 0.9 * F_C  # highest scored frequency [Hz]
+LEAST_GAIN = 0.1  # of a low-pass that is undone: noise of what is behind it rises tenfold
 
 
 def scored_band(v: float) -> tuple[float, float]:
-    """Return the band [cycles/m] in which a drive at `v` [m/s] is scored.
+    """Return the band [cycles/m] in which a drive at `v` [m/s] is scored: 0.2 to min(1.8, 22.5 / v)
 
-    It is 0.2 to min(1.8, 0.9 x 25 Hz / v). Raises ValueError if it is empty.
+    Raises ValueError if it is empty.
     """
     n_hi = min(SCORED_N_MAX, SCORED_F_MAX / v)
     if not n_hi > SCORED_N_MIN:
@@ -47,9 +36,8 @@ def scored_band(v: float) -> tuple[float, float]:
 class LowPass(NamedTuple):
     """Low-pass without phase that processed accelerations have passed.
 
-    That of a Butterworth filter of the `order` and the cut-off `f_c` [Hz], run forwards and
-    backwards, as the paper's. Without an order its gain is 1 up to `f_c`, and nothing is known
-    above.
+    It is that of a Butterworth filter of the `order` and the cut-off `f_c` [Hz], run forwards and
+    backwards, as the paper's. Without an order its gain is 1 up to `f_c`, and unknown above.
     """
 
     f_c: float
@@ -100,27 +88,26 @@ class DistanceScale(NamedTuple):
 class Estimate(Profile):
     """Estimated profile, with notes of the estimator.
 
-    `z_std` (2, M) [m], where a method provides it, is the standard deviation of the error in the
-    scored band; datum and drift are excluded. `draws` (D, 2, M) [m], where a method provides them,
-    are roads drawn from its posterior, in all waves, with the errors of the vehicle. `distance` is
-    the scale of the record's odometer, on which the stations are, where a method finds it. `s_std`
-    [m] is the standard deviation of the stations, by about which all are shifted together, where
-    the position fixes of the record wander; heights are then those of a road that begins elsewhere
-    by that, and `z_std` is that of heights compared after alignment. `unsure`
-    (M,) bool marks stations at which the vehicle turned, changed its speed hard or stood, or whose
-    heights no wheel load supports; None if there are none. `residual` is the RMS of what the
-    method's model leaves of the accelerations, over that of the sensors' noise; None of methods
-    without such a model.
+    What a method or drive lacks is None. `z_std` (2, M) [m] is the standard deviation of the error
+    in the scored band; datum and drift are excluded. `draws` (D, 2, M) [m] are roads drawn from the
+    posterior, in all waves, with the errors of the vehicle. `distance` is the scale of the record's
+    odometer, on which the stations are. `s_std` [m] is the standard deviation of the stations, by
+    about which all are shifted together, where the position fixes of the record wander; heights are
+    then those of a road that begins elsewhere by that, and `z_std` is that of heights compared
+    after alignment. `unsure` (M,) bool marks stations at which the vehicle turned, changed its
+    speed hard or stood, or whose heights no wheel load supports. `residual` is the RMS of what the
+    method's model leaves of the accelerations, over that of the sensors' noise. `speed` [m/s] is
+    that of the drive.
     """
 
     z_std: np.ndarray | None = None
     notes: tuple[str, ...] = ()
-    speed: float | None = None  # [m/s] of the drive, where it is known
+    speed: float | None = None
     distance: DistanceScale | None = None
     unsure: np.ndarray | None = None
     draws: np.ndarray | None = None
     residual: float | None = None
-    s_std: float | None = None  # [m]
+    s_std: float | None = None
 
 
 @dataclass(frozen=True)
@@ -133,9 +120,9 @@ class Record:
     `damper_high` (N, 4) bool: commanded spring and damper state of each strut (ride = neither,
     handling = both).
 
-    `sensors` are the k accelerometers by name, in the order of the rows of `a`. None, if they are
-    not known, stands for those of the instruments that an estimator assumes: by default the paper's
-    RF, LR and RR on the body. `low_pass` is the filter that `a` has passed after it was sampled.
+    `sensors` are the k accelerometers by name, in the order of the rows of `a`; None stands for
+    those of the instruments that an estimator assumes: by default the paper's RF, LR and RR on the
+    body. `low_pass` is the filter that `a` has passed after it was sampled.
     """
 
     t: np.ndarray

@@ -1,9 +1,8 @@
 """Roughness of a profile: displacement spectral density and class (ISO 8608), and IRI.
 
-Profiles `z` (..., N) [m] are sampled at equidistant stations `ds` [m] apart, along the last axis.
-Densities are one-sided, `G` (..., K) [m³] at the spatial frequencies `n` (K,) [cycles/m]. A level
-is the density G_d(n0) [m³] at n0 = 0.1 cycles/m of the road G_d = G_d(n0) (n / n0)^-2 that has the
-same density at the given frequency.
+Profiles `z` (..., N) [m] are sampled every `ds` [m] along the last axis. Densities are one-sided,
+`G` (..., K) [m³] at the spatial frequencies `n` (K,) [cycles/m]. A level is the density G_d(n0)
+[m³] at n0 = 0.1 cycles/m of the road G_d(n0) (n / n0)^-2 with the same density at a frequency.
 """
 
 import itertools
@@ -32,8 +31,7 @@ def displacement_psd(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the displacement PSD: `n` (K,) [cycles/m] without 0, and `G` (..., K) [m³].
 
-    Welch's method with Hann windows, half overlapping, and linearly detrended segments of at most
-    `segment` [m].
+    Welch's method: linearly detrended, half overlapping Hann windows of at most `segment` [m].
     """
     z = np.asarray(z, dtype=float)
     size = min(z.shape[-1], round(segment / ds))
@@ -45,13 +43,11 @@ def root_coherence(n: np.ndarray, w: float, track: float) -> np.ndarray:
     """Return the square root of the coherence of two paths of an isotropic surface.
 
     The paths are `track` [m] apart; `n` [cycles/m] has any shape, `w` is the waviness. With
-    x = 2 pi n track and v = w / 2 the result is 2^(1-v) / Gamma(v) x^v K_v(x), which is x K_1(x)
-    for w = 2 (Kamash & Robson, J. Sound Vib. 57, 1978, for w = 2; Matérn's integral for any w). At
-    n = 0 it is 1.
+    x = 2 pi n track and v = w / 2 the result is 2^(1-v) / Gamma(v) x^v K_v(x), 1 at n = 0 (Kamash &
+    Robson, J. Sound Vib. 57, 1978, for w = 2: x K_1(x); Matérn's integral for any w).
     """
     x, v = 2.0 * np.pi * np.asarray(n, dtype=float) * track, 0.5 * w
-    x = np.maximum(x, 1e-12)  # K_v is infinite at 0, but x^v K_v(x) is finite
-    # K_v underflows to 0 for large x, which is the limit
+    x = np.maximum(x, 1e-12)  # K_v is infinite at 0, x^v K_v(x) is not; both are 0 for large x
     scale = 2.0 ** (1.0 - v) / scipy.special.gamma(v)
     return np.clip(scale * x**v * scipy.special.kv(v, x), 0.0, 1.0)
 
@@ -66,10 +62,9 @@ def detrend_linear(z: np.ndarray) -> np.ndarray:
 def band_pass(z: np.ndarray, ds: float, band: Band) -> np.ndarray:
     """Return the part of `z` (..., M) [m] inside `band`, without phase shift; (..., K) with K < M.
 
-    The least-squares line is subtracted, the profile is continued by odd reflection (height and
-    slope go on) and tapered to zero over 20 m, so neither drift nor ends leak into the band; then
-    every frequency outside is set to zero. One longest wavelength, at most a tenth, is cut from
-    each end.
+    So that neither drift nor ends leak into the band, the least-squares line is subtracted and the
+    profile continued by odd reflection (height and slope go on), tapered to zero over 20 m. One
+    longest wavelength, at most a tenth, is cut from each end.
     """
     M = z.shape[-1]
     pad = min(M - 1, round(20.0 / ds))
@@ -86,8 +81,8 @@ def band_pass(z: np.ndarray, ds: float, band: Band) -> np.ndarray:
 def smooth_psd(n: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the density averaged over the bands of ISO 8608: centres (M,) and means (..., M).
 
-    The bands are octaves up to 0.0312 cycles/m, third octaves up to 0.25, and twelfth octaves
-    above. `n` is equidistant and starts at its spacing. Bands that exceed `n` are omitted.
+    They are octaves up to 0.0312 cycles/m, third octaves up to 0.25, twelfth octaves above; those
+    that exceed `n`, which is equidistant and starts at its spacing, are omitted.
     """
     octave, third = 2.0**-4.5, 2.0 ** (-2 + 1 / 6)  # upper limits of the bands of 2^-5 and 2^-2
     edges = np.r_[
@@ -110,7 +105,7 @@ def band_means(n: np.ndarray, G: np.ndarray, low: np.ndarray, high: np.ndarray) 
 
 @lru_cache(maxsize=64)
 def _band_weights(n: bytes, low: bytes, high: bytes) -> np.ndarray:
-    """Return the share (K, M) of each cell in each band; a board asks for a few, often."""
+    """Share (K, M) of each cell in each band; a board asks for a few, often."""
     cells, begins, ends = (np.frombuffer(x) for x in (n, low, high))
     half = 0.5 * (cells[1] - cells[0])
     inside = np.minimum(ends[:, None], cells + half) - np.maximum(begins[:, None], cells - half)
@@ -122,9 +117,8 @@ def fit_line(
 ) -> tuple[float, float]:
     """Return `G_d0` [m³] and the waviness of the least-squares line of log G (K,) over log n.
 
-    Only points inside `band` are used. They should be smoothed, so that they are equidistant over
-    log n. With a given `w` only the level is fitted. Raises ValueError if fewer than two points of
-    positive density are inside.
+    Points inside `band` are used, which should be smoothed: equidistant over log n. With a given
+    `w` only the level is fitted. Raises ValueError on fewer than two points of positive density.
     """
     use = (n >= band[0]) & (n <= band[1]) & (G > 0.0)
     if use.sum() < 2:
@@ -149,9 +143,8 @@ def octave_levels(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return centres (M,) of the octaves inside `band` [cycles/m], and their levels (..., M) [m³].
 
-    The centres are the powers of two inside `band`. The mean of n^-2 over an octave equals its
-    value at the centre. The level of an ISO road is therefore its G_d(n0), and `roughness_class`
-    gives the class.
+    The centres are powers of two. The mean of n^-2 over an octave is its value at the centre, so
+    that the level of an ISO road is its G_d(n0), of which `roughness_class` gives the class.
     """
     low, high = np.ceil(np.log2(band[0])), np.floor(np.log2(band[1]))
     centre = 2.0 ** np.arange(low, high + 1.0)
@@ -164,8 +157,7 @@ def iri(
 ) -> np.ndarray:
     """Return the International Roughness Index [mm/m], (...,) or (..., segments).
 
-    It is the mean magnitude of `golden_car`, over the whole profile or over each `segment` [m]; a
-    remainder shorter than `segment` is omitted.
+    It is the mean magnitude of `golden_car`, over the whole profile or each whole `segment` [m].
     """
     motion = 1e3 * np.abs(golden_car(z, ds, average))
     if segment is None:
@@ -182,9 +174,9 @@ def golden_car(z: np.ndarray, ds: float, average: float = 0.25) -> np.ndarray:
         mu z_u'' = -z_s'' + K1 (y - z_u)          K1 = 653, K2 = 63.3, C = 6, mu = 0.15
 
     (Sayers, Transp. Res. Rec. 1501, 1995; ASTM E1926). The profile y is a moving average over
-    `average` [m], rounded to `base` whole steps (0: no average). It is linear between samples, for
-    which the state transition is exact, mode by mode. The initial motion follows the mean slope of
-    the first 11 m. Raises ValueError if the profile is shorter than `average`.
+    `average` [m], rounded to `base` whole steps (0: none), and linear between samples, for which
+    the state transition is exact, mode by mode. The initial motion follows the mean slope of the
+    first 11 m. Raises ValueError if the profile is shorter than `average`.
     """
     z = np.asarray(z, dtype=float)
     base = max(1, round(average / ds))
@@ -208,14 +200,8 @@ def golden_car(z: np.ndarray, ds: float, average: float = 0.25) -> np.ndarray:
 def _golden_modes(ds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return poles (4,), modes (4, 4) and modal inputs (4,) for one step `ds` [m]."""
     K1, K2, C, mu = 653.0, 63.3, 6.0, 0.15
-    A = np.array(
-        [
-            [0.0, 1.0, 0.0, 0.0],
-            [-K2, -C, K2, C],
-            [0.0, 0.0, 0.0, 1.0],
-            [K2 / mu, C / mu, -(K1 + K2) / mu, -C / mu],
-        ]
-    )
+    body, wheel = [-K2, -C, K2, C], [K2 / mu, C / mu, -(K1 + K2) / mu, -C / mu]
+    A = np.array([[0.0, 1.0, 0.0, 0.0], body, [0.0, 0.0, 0.0, 1.0], wheel])
     B = np.array([0.0, 0.0, 0.0, K1 / mu])
     S = scipy.linalg.expm(A * ds / (80.0 / 3.6))
     P = np.linalg.solve(A, (S - np.eye(4)) @ B)
@@ -224,19 +210,16 @@ def _golden_modes(ds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 IN_PER_MI = 63.36  # inches per mile in 1 mm/m
-
-COARSEST = 0.3
-"""Widest spacing [m] of a profile of which the IRI is computed (ASTM E1926: 300 mm, class 2)."""
+COARSEST = 0.3  # widest spacing [m] of which the IRI is computed (ASTM E1926: 300 mm, class 2)
 
 
 def profile_indices(z: np.ndarray, ds: float, segment: float) -> list[dict[str, float]]:
     """Return the roughness of both wheel paths `z` (2, N) [m] by segments of `segment` [m].
 
     Each has `begin_m` and `end_m` [m], and `left`, `right`, `mean` (MRI) and `half_car` (HRI, that
-    of the mean profile; Sayers 1989) [mm/m]. The golden car runs over the whole profile, so that a
-    segment begins with the motion behind the last (ASTM E1926). A rest of less than half a segment
-    belongs to the segment before. Raises ValueError if the spacing is above COARSEST, or the
-    profile is shorter than 11 m.
+    of the mean profile; Sayers 1989) [mm/m]. A segment begins with the motion behind the last (ASTM
+    E1926); a rest of less than half a segment belongs to the one before. Raises ValueError if the
+    spacing is above COARSEST, or the profile is shorter than 11 m.
     """
     if ds > COARSEST:
         raise ValueError(f"a spacing of {ds:g} m; the IRI needs at most {COARSEST:g} m")

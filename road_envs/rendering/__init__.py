@@ -1,7 +1,6 @@
 """Rendering of the vehicle on its road: `render_frame(scene)` draws one frame.
 
-Only this package imports Pillow. Each panel has its own canvas, so that nothing is drawn across
-panels.
+Each panel has its own canvas, so that nothing is drawn across panels.
 """
 
 import numpy as np

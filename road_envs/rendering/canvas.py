@@ -28,10 +28,9 @@ class Canvas:
 
     def __init__(self, width: int, height: int, fill: str):
         self.width, self.height = width, height
-        size = (SMOOTHING * width, SMOOTHING * height)
-        self._image = Image.new("RGB", size, fill)
+        self._image = Image.new("RGB", (SMOOTHING * width, SMOOTHING * height), fill)
         self._draw = ImageDraw.Draw(self._image)
-        self._words: list[tuple[tuple[float, float], str, dict]] = []
+        self._words: list[tuple] = []
 
     def polygon(self, points: np.ndarray, fill: str, outline: str | None = None) -> None:
         self._draw.polygon(_large(points), fill=fill, outline=outline, width=SMOOTHING)
@@ -47,25 +46,17 @@ class Canvas:
         self._draw.ellipse([*(centre - r), *(centre + r)], fill=fill)
 
     def text(
-        self,
-        x: float,
-        y: float,
-        words: str,
-        fill: str,
-        size: int = 12,
-        anchor: str = "ls",
-        bold: bool = False,
+        self, x: float, y: float, words: str, fill: str, size=12, anchor="ls", bold=False
     ) -> None:
         """Write `words` on top of all shapes; `anchor` as in Pillow (ls: left end of baseline)."""
-        style = {"fill": fill, "font": _font(size, bold), "anchor": anchor}
-        self._words.append(((x, y), words, style))
+        self._words.append(((x, y), words, fill, _font(size, bold), anchor))
 
     def pixels(self) -> np.ndarray:
         """Return the finished image (height, width, 3), uint8."""
         image = self._image.reduce(SMOOTHING)
         draw = ImageDraw.Draw(image)
-        for place, words, style in self._words:
-            draw.text(place, words, **style)
+        for words in self._words:
+            draw.text(*words)
         return np.asarray(image)
 
 

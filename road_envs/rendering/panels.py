@@ -10,14 +10,9 @@ from road_envs.rendering.scene import Scene
 from road_envs.vehicle.struts import Modes
 from road_envs.vehicle.suspension import WHEELS, decode_commands
 
-ROAD_BEHIND = 10.0  # length of road [m] shown behind the front axle
-ROAD_AHEAD = 20.0  # length of road [m] shown ahead of the front axle
 GAUGE_TRAVEL = 0.16  # strut extension [m] at the ends of the gauge
 GAUGE_LOAD = 3.0  # tyre load at the end of the bar, in static loads
-
-PATH_STYLES = ((style.LEFT_PATH, 1.5), (style.PALE, 2.5))
-"""Colour and thickness of the left and the right wheel path."""
-
+PATH_STYLES = ((style.LEFT_PATH, 1.5), (style.PALE, 2.5))  # colour, thickness: left, right path
 MAX_NAME_LENGTH = 24  # longest name of a road that fits into the heading [characters]
 MARGIN = 62  # width of the labels left of a curve [pixels]
 
@@ -39,7 +34,7 @@ def _describe_command(byte: int, modes: Modes) -> str:
     """Return a command byte in words, by the `modes` of the car."""
     stiff, high = (flags[0] for flags in decode_commands(np.array([byte])))
     flags = zip(stiff, high, strict=True)
-    words = [style.describe_state(bool(s), bool(d), modes) for s, d in flags]
+    words = [style.describe_state(*pair, modes) for pair in flags]
     if len(set(words)) == 1:
         return words[0]
     if words[0] == words[1] and words[2] == words[3]:
@@ -67,9 +62,9 @@ class _AxisScale:
 def wheel_paths(canvas: Canvas, scene: Scene) -> None:
     """Draw the heights of both wheel paths around the vehicle, and the positions of its wheels."""
     z = scene.surface.z
-    columns = _AxisScale(
-        scene.station - ROAD_BEHIND, scene.station + ROAD_AHEAD, MARGIN, canvas.width - 10.0
-    )
+    # 10 m of road behind the front axle, and 20 m ahead of it
+    ends = scene.station - 10.0, scene.station + 20.0
+    columns = _AxisScale(*ends, MARGIN, canvas.width - 10.0)
     rows = _AxisScale(min(z.min(), 0.0), max(z.max(), 0.01), canvas.height - 16.0, 22.0)
     axles = np.array([scene.station - scene.car.wheelbase, scene.station])
     canvas.text(10, 15, "wheel paths, mm", style.INK, 12)
@@ -77,10 +72,8 @@ def wheel_paths(canvas: Canvas, scene: Scene) -> None:
     canvas.box(columns(axles[0]), rows.end - 2, columns(axles[1]), rows.start + 2, style.SKY)
     _grid_lines(canvas, columns, rows)
     s = np.linspace(columns.low, columns.high, 560)
-    paths = list(
-        zip(scene.surface.height(s), scene.surface.height(axles), PATH_STYLES, strict=True)
-    )
-    for heights, wheels, (colour, thickness) in reversed(paths):
+    paths = zip(scene.surface.height(s), scene.surface.height(axles), PATH_STYLES, strict=True)
+    for heights, wheels, (colour, thickness) in reversed(list(paths)):
         canvas.line(np.column_stack([columns(s), rows(heights)]), colour, thickness)
         for column, row in zip(columns(axles), rows(wheels), strict=True):
             canvas.disc(column, row, 3.5, colour)
@@ -93,8 +86,8 @@ def _grid_lines(canvas: Canvas, columns: _AxisScale, rows: _AxisScale) -> None:
         height = f"{1000 * z + 0.0:g}"  # never -0
         canvas.text(columns.start - 6, rows(z), height, style.FAINT, 11, "rm")
     for s in columns.ticks(5.0):
-        tick = [[columns(s), rows.start], [columns(s), rows.start + 4]]
-        canvas.line(np.array(tick), style.FAINT)
+        x, y = columns(s), rows.start
+        canvas.line(np.array([[x, y], [x, y + 4]]), style.FAINT)
         canvas.text(columns(s), canvas.height - 2, f"{s + 0.0:.0f} m", style.FAINT, 10, "ms")
 
 
@@ -138,7 +131,7 @@ def corners(canvas: Canvas, scene: Scene) -> None:
 
 
 def _corner(canvas: Canvas, scene: Scene, wheel: int, x: float, y: float, width: float) -> None:
-    stiff, high = bool(scene.spring_stiff[wheel]), bool(scene.damper_high[wheel])
+    stiff, high = scene.spring_stiff[wheel], scene.damper_high[wheel]
     canvas.text(x, y + 18, WHEELS[wheel], style.INK, 13, bold=True)
     canvas.box(x + 26, y + 8, x + 33, y + 18, style.state_colour(high))
     canvas.box(x + 33, y + 8, x + 40, y + 18, style.state_colour(stiff))

@@ -34,20 +34,17 @@ def strut(
 ) -> None:
     """Draw the telescopic strut of `wheel` from `lower` to `upper` (2,) on the canvas.
 
-    The tube has the colour of the damper state, the rod that of the spring state. A stop is
-    highlighted when the strut reaches it: the bump stop under the body, the rebound stop on the
-    tube.
+    The tube has the colour of the damper state, the rod that of the spring state. A stop that is
+    reached is highlighted: the bump stop under the body, the rebound stop on the tube.
     """
     along = upper - lower
     length = float(np.hypot(*along))
     along = along / length
     top = lower + along * min(TUBE * scale, length)
     across = np.array([-along[1], along[0]])
-    damper = style.state_colour(bool(scene.damper_high[wheel]))
-    spring = style.state_colour(bool(scene.spring_stiff[wheel]))
     stop = scene.stop_state(wheel)
-    _bar(canvas, top, upper, across * 0.032 * scale, spring)
-    _bar(canvas, lower, top, across * 0.06 * scale, damper)
+    _bar(canvas, top, upper, across * 0.032 * scale, style.state_colour(scene.spring_stiff[wheel]))
+    _bar(canvas, lower, top, across * 0.06 * scale, style.state_colour(scene.damper_high[wheel]))
     collar = along * COLLAR * scale
     _stop(canvas, upper - collar, upper, across * 0.075 * scale, stop < 0)
     _stop(canvas, top - collar, top, across * 0.075 * scale, stop > 0)

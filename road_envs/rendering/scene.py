@@ -1,40 +1,43 @@
-"""Content of one frame as plain data, which can be copied and pickled.
+"""Content of one frame as plain data.
 
 Displayed heights are relative to a datum that follows the long waves of the road, like a camera
-that moves with the vehicle, and are scaled by `exaggeration`. The scale applies to road, wheels,
-body and tyre deflection alike, so that an airborne wheel is also airborne in the frame.
+that moves with the vehicle. The `exaggeration` applies to road, wheels, body and tyre deflection
+alike, so that an airborne wheel is also airborne in the frame.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from road_envs.records.record import SENSORS
 from road_envs.roads.surface import Surface
 from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import DAMPING_HIGH, VALVE_OPEN
 
-WHEEL_RADIUS = 0.4
-"""Radius of an unloaded tyre [m], 7.50 R 16; the ride model itself does not need it."""
-
+WHEEL_RADIUS = 0.4  # of an unloaded tyre [m], 7.50 R 16; the ride model itself does not need it
 CAMERA_WINDOW = 20.0  # length of road [m] over which the datum is averaged
-
-FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT = range(4)
+REAR_LEFT, REAR_RIGHT = 2, 3
+LEFT_WHEELS, RIGHT_WHEELS = (REAR_LEFT, 0), (REAR_RIGHT, 1)
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Vehicle on its road at the instant `t` [s], front axle at `station` [m].
 
-    `q` (7,) are the coordinates of `vehicle.equations`, `extension` (4,) [m] and `load` (4,) [N]
-    those of struts and tyres, `spring_stiff` and `damper_high` (4,) the valve states, `command` the
-    last command byte. `samples` (k, N) [m/s²] are those of the accelerometers `sensors` at
-    `fs` [Hz], newest last; the last `window` seconds are shown.
+    `samples` (k, N) [m/s²] are those of the accelerometers `sensors` at `fs` [Hz], newest last; the
+    last `window` seconds are shown. `q` (7,) are the coordinates of `vehicle.equations`,
+    `extension` (4,) [m] and `load` (4,) [N] those of struts and tyres, `spring_stiff` and
+    `damper_high` (4,) the valve states, `command` the last command byte.
     """
 
+    samples: np.ndarray
+    fs: float
+    window: float
+    exaggeration: float
+    sensors: tuple[str, ...]
     car: VehicleParameters
     surface: Surface
     t: float
@@ -46,25 +49,15 @@ class Scene:
     spring_stiff: np.ndarray
     damper_high: np.ndarray
     command: int
-    samples: np.ndarray
-    fs: float
-    window: float
-    exaggeration: float = 1.0
-    sensors: tuple[str, ...] = SENSORS
 
     @classmethod
-    def from_drive(
-        cls,
-        drive: DriveSimulator,
-        trajectory: Trajectory,
-        samples: np.ndarray,
-        fs: float,
-        window: float,
-        exaggeration: float,
-        sensors: tuple[str, ...] = SENSORS,
-    ) -> "Scene":
-        """Return the scene at the end of `trajectory`, the latest one of `drive`."""
+    def from_drive(cls, drive: DriveSimulator, trajectory: Trajectory, *shown: Any) -> "Scene":
+        """Return the scene at the end of `trajectory`, the latest one of `drive`.
+
+        `shown` are the first five fields.
+        """
         return cls(
+            *shown,
             car=drive.car,
             surface=drive.surface,
             t=float(trajectory.t[-1]),
@@ -76,11 +69,6 @@ class Scene:
             spring_stiff=drive.strut_state[:, VALVE_OPEN] < 0.5,
             damper_high=drive.strut_state[:, DAMPING_HIGH] >= 0.5,
             command=int(trajectory.commands[-1]),
-            samples=samples,
-            fs=fs,
-            window=window,
-            exaggeration=exaggeration,
-            sensors=sensors,
         )
 
     @cached_property
@@ -107,9 +95,7 @@ class Scene:
 
     def hub_height(self, wheel: int, y: float | None = None) -> float:
         """Return the displayed height [m] of an axle at its `wheel`, or at `y` [m] left."""
-        axle = wheel // 2
-        if y is None:
-            y = self.wheel_y(wheel)
+        axle, y = wheel // 2, self.wheel_y(wheel) if y is None else y
         height = self.q[AXLE + 2 * axle] + y * self.q[AXLE + 2 * axle + 1]
         rest = WHEEL_RADIUS - self.car.tyre_deflections[axle]
         return float(rest + self.to_display(height))
@@ -131,6 +117,5 @@ class Scene:
 
     def stop_state(self, wheel: int) -> int:
         """Return -1 if the strut is on its bump stop, 1 on its rebound stop, 0 between."""
-        low, high = self.car.free_travel[wheel]
-        e = self.extension[wheel]
+        (low, high), e = self.car.free_travel[wheel], self.extension[wheel]
         return int(e >= high) - int(e <= low)

@@ -1,8 +1,7 @@
 """Side view of the vehicle, from its right, driving to the right over both wheel paths.
 
-The projection is oblique: the left wheel path is behind the right one, shifted upwards and to the
-right. Lengths along the vehicle are to scale. The outline is that of a Defender 110, attached to
-the axles of the given vehicle.
+The left wheel path is behind the right one, shifted upwards and to the right; lengths along the
+vehicle are to scale. The outline is that of a Defender 110, attached to the axles of the vehicle.
 """
 
 import numpy as np
@@ -10,34 +9,20 @@ import numpy as np
 from road_envs.rendering import style
 from road_envs.rendering.canvas import Canvas
 from road_envs.rendering.parts import MOUNT, OUTLINES, draw_part, strut
-from road_envs.rendering.scene import (
-    FRONT_LEFT,
-    FRONT_RIGHT,
-    REAR_LEFT,
-    REAR_RIGHT,
-    WHEEL_RADIUS,
-    Scene,
-)
+from road_envs.rendering.scene import LEFT_WHEELS, RIGHT_WHEELS, WHEEL_RADIUS, Scene
 from road_envs.vehicle.equations import THETA, Z_B
 
 SCALE = 92.0  # pixels per metre
-
-SHEAR = np.array([0.07, 0.13])
-"""Displacement to the right and upwards of a point one metre to the left [m]."""
-
+SHEAR = np.array(
+    [0.07, 0.13]
+)  # shift to the right and upwards of a point one metre to the left [m]
 GROUND = 254.0  # row of the canvas of a level right wheel path
 SHOULDER = 0.3  # width of the road outside the wheel paths [m]
-
-PAVING = "belgian"
-"""Part of the name of a surface that is drawn with paving stones; others are asphalt."""
-
 STONE = 0.25  # length of a paving stone [m]
 COURSES = 4  # number of courses of paving stones between the wheel paths
 DASH = 1.0  # length of the painted dashes on asphalt [m]
 GAP = 2.0  # spacing of the painted dashes [m]
-
-DASH_EDGES = (0.46, 0.54)
-"""Edges of the painted dashes, from the left (0) to the right wheel path (1)."""
+DASH_EDGES = (0.46, 0.54)  # of the painted dashes, from the left (0) to the right wheel path (1)
 
 LEGEND = (
     (10, style.SOFT, "soft spring, low damping"),
@@ -58,7 +43,7 @@ class SideView:
         self.x = (columns - self.origin) / SCALE
         self.s = self.x + scene.station - scene.car.front.x
         self.left, self.right = scene.road_heights(self.s)
-        self.paved = PAVING in scene.surface.name
+        self.paved = "belgian" in scene.surface.name
         self.road_colour = style.ROAD if self.paved else style.ASPHALT
 
     def draw(self) -> None:
@@ -66,7 +51,7 @@ class SideView:
         self._draw_far_side()
         self._draw_road()
         self._draw_body()
-        for wheel in (REAR_RIGHT, FRONT_RIGHT):
+        for wheel in RIGHT_WHEELS:
             self._draw_wheel(wheel)
             self._draw_strut(wheel)
         self._draw_foreground()
@@ -84,8 +69,7 @@ class SideView:
         car = self.scene.car
         share, ahead, z = np.array(outline, dtype=float).T
         x = car.rear.x + share * car.wheelbase + ahead
-        y = np.full(x.shape, -car.front.y_s)
-        x, _, z = self.scene.body_points(x, y, z)
+        x, _, z = self.scene.body_points(x, np.full(x.shape, -car.front.y_s), z)
         return self.project(x, self.near, z)
 
     def _draw_hills(self) -> None:
@@ -99,7 +83,7 @@ class SideView:
         y = -self.near
         verge = self.project(self.x, y + SHOULDER, self.left)
         self._fill_strip(verge, self.project(self.x, y, self.left), self.road_colour)
-        for wheel in (REAR_LEFT, FRONT_LEFT):
+        for wheel in LEFT_WHEELS:
             self._draw_wheel(wheel)
 
     def _draw_road(self) -> None:
@@ -107,7 +91,7 @@ class SideView:
         self._fill_strip(far, self.project(self.x, self.near, self.right), self.road_colour)
         self._draw_stones() if self.paved else self._draw_dashes()
         self.canvas.line(far, style.LEFT_PATH, 1.5)
-        for left in (REAR_LEFT, FRONT_LEFT):
+        for left in LEFT_WHEELS:
             x = self.scene.car.axles[left // 2].x
             ends = [self.scene.hub_height(left), self.scene.hub_height(left + 1)]
             beam = self.project(np.array([x, x]), np.array([-self.near, self.near]), np.array(ends))
@@ -122,9 +106,9 @@ class SideView:
             across = (course + np.array([0.1, 0.1, 0.95, 0.95])) / COURSES
             stones = self._project_road(s, across)
             for i, stone in zip(number.tolist(), stones, strict=True):
-                self.canvas.polygon(
-                    stone, style.STONES[_scatter_hash(i, course) % len(style.STONES)]
-                )
+                # a pseudo-random colour, by multiplicative hashing
+                colour = ((i * 2654435761 + course * 40503) & 0xFFFFFFFF) >> 13
+                self.canvas.polygon(stone, style.STONES[colour % len(style.STONES)])
 
     def _draw_dashes(self) -> None:
         """Draw the dashes of a centre line, which follow the road in steps of a tenth."""
@@ -199,8 +183,3 @@ class SideView:
             self.canvas.box(x, y - 5, x + 10, y + 5, style.PAPER)
             self.canvas.box(x + 1, y - 4, x + 9, y + 4, colour)
             write(x + 16, y, words, style.PAPER, 11, "lm")
-
-
-def _scatter_hash(i: int, row: int) -> int:
-    """Return a pseudo-random number for stone `i` of a row, by multiplicative hashing."""
-    return ((i * 2654435761 + row * 40503) & 0xFFFFFFFF) >> 13

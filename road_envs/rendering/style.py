@@ -49,8 +49,7 @@ BLENDED_EDGES = (
 )
 """Pairs of adjacent colours, and the number of intermediate shades of their smooth edges."""
 
-STATE_NAMES = {"soft_high": "soft/high", "stiff_low": "stiff/low"}
-"""Names of the states of a strut that are not those of its modes: spring/damping."""
+STATE_NAMES = {"soft_high": "soft/high", "stiff_low": "stiff/low"}  # spring/damping
 
 
 def palette() -> list[int]:

@@ -14,13 +14,8 @@ from road_envs.roads.measured import SURFACE_SUFFIXES, Measured
 from road_envs.roads.surface import Surface
 
 KINDS: dict[str, type] = {}
-"""Road classes by the `kind` of their configuration, filled in by `road_envs.roads`.
-
-It is empty here because composite roads load other roads: their module imports this one.
-"""
-
-_SUFFIXES = (".yaml", ".yml", *SURFACE_SUFFIXES)
-MAX_SLOPE = 1.0  # largest RMS slope [m/m] of a road; that of Belgian paving is 0.1
+"""Road classes by the `kind` of their configuration. `road_envs.roads` fills it in: composite roads
+load other roads, so that their module imports this one."""
 
 
 @runtime_checkable
@@ -32,7 +27,6 @@ class Road(Protocol):
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw one surface, which is determined by the road and the state of `rng`."""
-        ...
 
 
 def load_road(source: str | Path | Mapping[str, Any] | Road) -> Road:
@@ -63,13 +57,8 @@ def realise_road(
     seed: int | np.random.SeedSequence,
     length: float | None = None,
 ) -> Surface:
-    """Return the surface drawn from `seed`, of another `length` [m] if given.
-
-    Raises ConfigError.
-    """
-    described = load_road(road)
-    if length is not None:
-        described = with_length(described, length)
+    """The surface drawn from `seed`, of another `length` [m] if given. Raises ConfigError."""
+    described = load_road(road) if length is None else with_length(load_road(road), length)
     surface = described.realise(np.random.default_rng(seed))
     if isinstance(described, Measured):
         _check_slopes(surface)
@@ -81,7 +70,7 @@ def _check_slopes(surface: Surface) -> None:
     z, ds = surface.z, surface.ds
     stride = max(1, round(0.1 / ds))
     slope = float(np.sqrt(np.mean((np.diff(z[:, ::stride], axis=1) / (stride * ds)) ** 2)))
-    if slope > MAX_SLOPE:
+    if slope > 1.0:  # that of Belgian paving is 0.1
         raise SurfaceFileError(
             f"{surface.name}: its slopes have an RMS of {slope:.3g} m/m, as of heights in "
             "millimetres that are read as metres: give metres, or name the unit in the header of "
@@ -100,7 +89,7 @@ def with_length(road: Road, length: float) -> Road:
     if hasattr(road, "with_length"):  # its length is that of an inner road plus or times a constant
         return settings.with_length(length)
     if "length" not in {f.name for f in dataclasses.fields(settings)}:
-        kind = {cls: kind for kind, cls in KINDS.items()}.get(type(road), type(road).__name__)
+        kind = next((k for k, cls in KINDS.items() if cls is type(road)), type(road).__name__)
         raise ConfigError(f"the length of a {kind} road follows from its other settings")
     try:
         return dataclasses.replace(settings, length=float(length))
@@ -126,14 +115,15 @@ def _from_mapping(data: Mapping[str, Any]) -> Road:
 def map_paths(value: Any, change: Callable[[str], str], texts: Collection[str] = ()) -> Any:
     """Return YAML or JSON types with every path of a file changed, but not under keys in `texts`.
 
-    A `name` is one only where it names a road: alone, or beside a `length`.
+    A `name` may be a path where it names a road: alone, or beside a `length`.
     """
     if isinstance(value, list):
         return [map_paths(item, change, texts) for item in value]
     if isinstance(value, dict):
         kept = texts if value.keys() <= {"name", "length"} else {"name", *texts}
         return {k: x if k in kept else map_paths(x, change, texts) for k, x in value.items()}
-    is_path = isinstance(value, str) and Path(value).suffix.lower() in _SUFFIXES
+    suffixes = (".yaml", ".yml", *SURFACE_SUFFIXES)
+    is_path = isinstance(value, str) and Path(value).suffix.lower() in suffixes
     return change(value) if is_path else value
 
 

@@ -3,11 +3,10 @@
     base   G_d0 (n / n0)^-w, steeper (w_above) beyond n_above
     peak   a Gaussian of width n_sigma at n_cobble; base and peak together are `peak` times the base
 
-The shape of the base (w = 2.15), the position, width and height of the peak and the coherence of
-the wheel paths (0.22 at the peak, nearly 0 from 2.3 to 4 cycles/m) are those of the measured
-cobbles in the OpenCRG sample `belgian_block.crg`. The level follows the paving of Ngwangwa et al.,
-section 3.2: class D from 0.2 to 3 cycles/m, classes C to A above, and a peak at 6 cycles/m. Below
-the peak the coherence of the paths is that of an isotropic surface.
+Slope of the base, peak and coherence of the wheel paths (0.22 at the peak, nearly 0 from 2.3 to 4
+cycles/m, isotropic below) are those of the measured cobbles in the OpenCRG sample
+`belgian_block.crg`. The level follows the paving of Ngwangwa et al., section 3.2: class D from 0.2
+to 3 cycles/m, classes C to A above, and a peak at 6 cycles/m.
 """
 
 from dataclasses import dataclass

@@ -17,10 +17,7 @@ from road_envs.roads.api import AnyRoad, with_length
 from road_envs.roads.measured import tile_heights
 from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, Surface, check_size
 
-MAX_ROADS = 200  # largest number of roads of which one road is composed
-
-_Roads = Annotated[tuple[AnyRoad, ...], Field(min_length=1, max_length=MAX_ROADS)]
-
+_Roads = Annotated[tuple[AnyRoad, ...], Field(min_length=1, max_length=200)]
 MAX_LEVEL = 200.0  # largest level [dB] of a road relative to another, up or down: a factor of 1e10
 
 
@@ -68,9 +65,8 @@ class FixedSeed(_Modified):
 class NoisyCopy(_Modified):
     """A road with added noise and a delay: the paper's training version of its Belgian paving.
 
-    Gaussian noise with `noise` times the standard deviation of each wheel path is added on the
-    paper's grid of 25.2 mm and interpolated to the samples. The road is then shifted by `delay`,
-    with a level section before it, and cut to its former length (Ngwangwa et al., section 4).
+    Gaussian noise is added on the paper's grid of 25.2 mm and interpolated to the samples. The road
+    is then shifted by `delay` and cut to its former length (Ngwangwa et al., section 4).
     """
 
     noise: Annotated[NonNegative, "", "standard deviation over that of the wheel path"] = 0.1
@@ -149,10 +145,9 @@ class Scaled(_Modified):
 
 @dataclass(frozen=True, kw_only=True)
 class RandomLevel(_Modified):
-    """A road whose roughness is drawn: its level, uniform in dB between two limits.
+    """A road of random level, uniform in dB: 6 dB double its heights and are one ISO class.
 
-    The same seed draws the same inner road at every level; 6 dB double its heights and are one ISO
-    class.
+    The same seed draws the same inner road at every level.
     """
 
     level: Annotated[
@@ -167,9 +162,8 @@ class RandomLevel(_Modified):
     def realise(self, rng: np.random.Generator) -> Surface:
         surface = self.road.realise(rng)
         decibels = rng.uniform(*self.level)
-        z = 10.0 ** (decibels / 20.0) * surface.z
         notes = (*surface.notes, f"level {decibels:+.1f} dB")
-        return Surface(z, surface.ds, surface.start, surface.name, notes)
+        return replace(surface, z=10.0 ** (decibels / 20.0) * surface.z, notes=notes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -239,6 +233,6 @@ def _superpose(
 
 
 def _realise_all(roads: Sequence[AnyRoad], rng: np.random.Generator) -> list[Surface]:
-    """Draw one surface of each road; appending a road does not change the draws before it."""
+    """Surfaces of the roads; appending a road does not change the draws before it."""
     seeds = rng.integers(2**63, size=len(roads))
     return [road.realise(np.random.default_rng(k)) for road, k in zip(roads, seeds, strict=True)]

@@ -3,8 +3,8 @@
     G_d(n) = G_d(n0) (n / n0)^-w      n0 = 0.1 cycles/m
 
 It is a sum of cosines with random phases. The spectral line of a cell [n - dn/2, n + dn/2] has the
-integral of G_d over the cell, so that the expected variance is the integral over the band for any
-spacing dn. The lines are closer than 1/length, so that the road is not periodic in its length.
+integral of G_d over the cell, so that the expected variance is that of the band for any spacing.
+The lines are closer than 1/length, so that the road is not periodic in its length.
 
 The two wheel paths, `track` apart, are the sum and the difference of two independent roads with the
 densities (1 ± g) G_d / 2. Each path then has the density G_d, their cross-spectrum is g G_d and
@@ -26,22 +26,18 @@ from road_envs.records.roughness import CLASSES, N_0, TRACK, TrackWidth, root_co
 from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, SampleSpacing, Surface, check_size
 
 RoadClass = Literal["A", "B", "C", "D", "E", "F", "G", "H"]
-Coherence = Literal["isotropic", "full", "none"]
-MIN_PERIODS = 8  # least period of the synthesis in units of the longest wavelength 1 / n_min
 
 
 @dataclass(frozen=True, kw_only=True)
 class RoughnessVariation(Settings):
-    """Distribution of a patch's roughness coefficient relative to that of the road.
+    """Distribution of a patch's roughness coefficient relative to that of the road, their mean.
 
-    The coefficient is constant within a patch and random from patch to patch; both wheel paths
-    share it, and its mean is that of the road. With a gamma distribution this is the Laplace road
-    of Bogsjö, Podgórski & Rychlik (Veh. Syst. Dyn. 50, 2012) with the ISO spectrum and two paths
-    (Johannesson, Podgórski & Rychlik, Chalmers preprint 2014:4), where the square of `spread` is
-    called nu. A log-normal distribution has the same mean and variance, but more very rough
-    patches.
+    Both wheel paths share it. With a gamma distribution this is the Laplace road of Bogsjö,
+    Podgórski & Rychlik (Veh. Syst. Dyn. 50, 2012) with the ISO spectrum and two paths (Johannesson,
+    Podgórski & Rychlik, Chalmers preprint 2014:4), where the square of `spread` is called nu. A
+    log-normal one has the same mean and variance, but more very rough patches.
 
-    It applies to the white noise that is filtered into the road, so the road has no steps between
+    It applies to the white noise that is filtered into the road, which has no steps between
     patches: waves much shorter than a patch have the density of the patch, longer ones an average
     over neighbouring patches. Over all patches, short waves have the kurtosis 3 (1 + spread²).
     """
@@ -90,8 +86,8 @@ class SpectralRoad(Settings):
 
     @property
     def _period(self) -> float:
-        """Period [m]: at least two road lengths and MIN_PERIODS of the longest waves."""
-        return max(2.0 * self.length, MIN_PERIODS / self.n_min)
+        """Period [m]: at least two road lengths and eight of the longest waves."""
+        return max(2.0 * self.length, 8 / self.n_min)
 
     def _spectral_lines(self) -> tuple[int, int, int]:
         """Return the samples per period and the indices of the first and last spectral line."""
@@ -134,7 +130,9 @@ class Iso8608(SpectralRoad):
     road_class: Annotated[RoadClass | None, "", "ISO class, taken at its geometric mean"] = None
     G_d0: Annotated[Positive | None, "m³", "displacement PSD at n0"] = None
     w: Annotated[Positive, "", "waviness"] = 2.0
-    coherence: Annotated[Coherence, "", "between the wheel paths"] = "isotropic"
+    coherence: Annotated[Literal["isotropic", "full", "none"], "", "between the wheel paths"] = (
+        "isotropic"
+    )
     variation: Annotated[RoughnessVariation | None, "", "of the roughness along the road"] = None
 
     def __post_init__(self):
@@ -156,7 +154,7 @@ class Iso8608(SpectralRoad):
 
 @lru_cache(maxsize=16)
 def _cell_spectra(road: Iso8608) -> tuple[np.ndarray, np.ndarray]:
-    """Return power and root coherence of the cells, which all realisations of a road share."""
+    """Power and root coherence of the cells, which all realisations of a road share."""
     edges = road._cell_edges()
     power = power_law(edges, road.density, road.w)
     g = np.full(power.size, 1.0 if road.coherence == "full" else 0.0)
@@ -175,9 +173,6 @@ def power_law(edges: np.ndarray, G_d0: float, w: float) -> np.ndarray:
 
 
 def _smooth_number(least: int) -> int:
-    """Return the least product of twos, threes and fives that is not below `least`.
-
-    It is `scipy.fft.next_fast_len`; an import of that takes a sixth of the time to a first step.
-    """
+    """`scipy.fft.next_fast_len`, an import of which takes a sixth of the time to a first step."""
     odd = (3**i * 5**j for i in range(least.bit_length()) for j in range(least.bit_length()))
     return min(factor << (-(-least // factor) - 1).bit_length() for factor in odd)

@@ -1,11 +1,9 @@
 """Roads from measured surfaces: OpenCRG and ERD files, or tables of distance and height.
 
 The wheel paths of a grid are `track` apart and symmetric about the line `centre`, with linear
-interpolation between the long sections. A path with missing heights is an error unless gaps are to
-be interpolated along it. Station 0 is the first sample, and both paths start at height 0.
-
-A surface that is shorter than the road is used as a tile: mirrored, or repeated after subtraction
-of the line from its first to its last height, so that the ends meet.
+interpolation between the long sections. Station 0 is the first sample, and both paths start at
+height 0. A surface that is shorter than the road is used as a tile: mirrored, or repeated after
+subtraction of the line from its first to its last height, so that the ends meet.
 """
 
 from dataclasses import dataclass
@@ -19,11 +17,10 @@ from road_envs.core.config import Finite, NonNegative, Positive, Settings
 from road_envs.core.reading import parsing, regular
 from road_envs.records.roughness import TRACK, TrackWidth
 from road_envs.roads.formats import erd, opencrg, table
-from road_envs.roads.formats.opencrg import CurvedGrid, SurfaceFileError
+from road_envs.roads.formats.opencrg import CurvedGrid, SurfaceFileError, require
 from road_envs.roads.formats.table import WheelPaths
 from road_envs.roads.surface import Surface, check_size
 
-DEFAULT_MIN_LENGTH = 2.794  # default of `Measured.min_length` [m]: the wheelbase of a Defender 110
 SURFACE_SUFFIXES = (".crg", ".erd", ".parquet", ".csv", ".txt", ".dat")
 SIDE_NAMES = ("left", "right")
 
@@ -38,7 +35,7 @@ class Measured(Settings):
     centre: Annotated[Finite | None, "m", "v midway between the paths; default: of the grid"] = None
     track: TrackWidth = TRACK
     bridge_gaps: Annotated[bool, "", "interpolate missing heights along the path"] = False
-    min_length: Annotated[Positive, "m", "least length of the surface"] = DEFAULT_MIN_LENGTH
+    min_length: Annotated[Positive, "m", "least length of the surface"] = 2.794  # a wheelbase
 
     def __post_init__(self):
         super().__post_init__()
@@ -70,8 +67,7 @@ class Measured(Settings):
     def _tile(self) -> Surface:
         """The surface in the file, with gaps interpolated if allowed."""
         z, ds, notes, _ = self._contents
-        if z.shape[1] < 4:
-            raise SurfaceFileError(f"at least 4 stations are required, got {z.shape[1]}")
+        require(z.shape[1] >= 4, f"at least 4 stations are required, got {z.shape[1]}")
         z, gap_notes = _fill_gaps(z, ds, self.bridge_gaps)
         if np.allclose(z[0], z[1], rtol=0.0, atol=1e-9):
             notes = (*notes, "left and right wheel path are the same")
@@ -100,10 +96,7 @@ class Measured(Settings):
 
 
 def _wheel_paths(grid: CurvedGrid, centre: float | None, track: float) -> WheelPaths:
-    """Return both wheel paths of a grid, half a `track` [m] to either side of v = `centre` [m].
-
-    Raises SurfaceFileError if a path is off the grid.
-    """
+    """Return both wheel paths of a grid, half a `track` [m] to either side of v = `centre` [m]."""
     v = grid.v
     middle = 0.5 * (v[0] + v[-1]) if centre is None else centre
     z = np.empty((2, len(grid.z)))
@@ -116,23 +109,18 @@ def _wheel_paths(grid: CurvedGrid, centre: float | None, track: float) -> WheelP
         k = int(np.clip(np.searchsorted(v, v_path) - 1, 0, v.size - 2))
         share = round((v_path - v[k]) / (v[k + 1] - v[k]), 9)
         # a section of weight 0 is skipped, as its heights may be missing (NaN)
-        parts = [w * grid.z[:, k + j] for j, w in enumerate((1.0 - share, share)) if w]
-        z[side] = sum(parts)
+        z[side] = sum(w * grid.z[:, k + j] for j, w in enumerate((1.0 - share, share)) if w)
     start = (f"station 0 is u = {grid.u_start:g} m",) if grid.u_start else ()
     return WheelPaths(z, grid.du, (*start, *grid.notes), grid.u_start)
 
 
 def _fill_gaps(z: np.ndarray, ds: float, allowed: bool) -> tuple[np.ndarray, list[str]]:
-    """Return wheel paths `z` (2, N) with missing heights interpolated, and notes.
-
-    Raises SurfaceFileError if heights are missing and this is not `allowed`, or all are missing.
-    """
+    """Return wheel paths `z` (2, N) with missing heights interpolated, if `allowed`, and notes."""
     z, notes = z.copy(), []
     k = np.arange(z.shape[1])
     for side, path in zip(SIDE_NAMES, z, strict=True):
         missing = np.isnan(path)
-        count = int(missing.sum())
-        if not count:
+        if not (count := int(missing.sum())):
             continue
         first = ds * int(np.argmax(missing))
         if not allowed or count == path.size:
@@ -144,10 +132,8 @@ def _fill_gaps(z: np.ndarray, ds: float, allowed: bool) -> tuple[np.ndarray, lis
         path[missing] = np.interp(k[missing], k[~missing], path[~missing])
         edges = np.flatnonzero(np.diff(np.r_[False, missing, False]))
         longest = ds * int((edges[1::2] - edges[::2]).max())
-        notes.append(
-            f"interpolated {count} missing heights of the {side} wheel path, longest gap "
-            f"{longest:.2f} m"
-        )
+        filled = f"interpolated {count} missing heights of the {side} wheel path"
+        notes.append(f"{filled}, longest gap {longest:.2f} m")
     return z, notes
 
 

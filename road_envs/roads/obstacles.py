@@ -14,8 +14,8 @@ of the bumps. For training, lengths and heights are scaled by 1 ± 0.1 (section 
     pothole     trapezoidal hole: edge, floor at `height` < 0, edge
 
 Half sines represent the bumps of Ngwangwa, Heyns, Labuschagne & Kululanga (J. Terramechanics 47,
-2010), whose defects also grew with time. Their growth law is assumed here: a `count` above 1 makes
-a row of one defect at successive ages, each `growth` times as high as the one before it.
+2010), whose defects also grew with time. A `count` above 1 makes a row of one defect at successive
+ages, each `growth` times as high as the one before it (an assumed law).
 
 Depths and sizes of random potholes follow the distress manual of the LTPP programme (Miller &
 Bellinger, FHWA-RD-03-031, 2003): at least 150 mm wide; low severity below 25 mm of depth, high
@@ -31,17 +31,14 @@ from pydantic import Field
 from road_envs.core.config import Count, Finite, NonNegative, Positive, Settings, SmallestFirst
 from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, SampleSpacing, Surface, check_size
 
-Layout = Literal["small", "large_small", "asymmetric"]
-LAYOUTS: dict[Layout, tuple[tuple[str, str], ...]] = {
+LAYOUTS: dict[str, tuple[tuple[str, str], ...]] = {
     "small": (("small", "both"),),
     "large_small": (("large", "both"), ("small", "both")),
     "asymmetric": (("large", "left"), ("small", "right")),
 }
 """Size and wheel path of the bumps, in driving order."""
 
-SIDES = {"left": [0], "right": [1], "both": [0, 1]}
-"""Row indices of the heights (2, N) of a surface."""
-
+SIDES = {"left": [0], "right": [1], "both": [0, 1]}  # rows of the heights (2, N) of a surface
 SAMPLE_SPACING = 0.005  # spacing of the samples of bumps and defects [m]
 
 
@@ -63,7 +60,9 @@ class _Trapezoid(Settings):
 class Bumps(Settings):
     """Bumps on a level road, with level sections `run_in` and `run_out`."""
 
-    layout: Annotated[Layout, "", "sizes and wheel paths of the bumps"]
+    layout: Annotated[
+        Literal["small", "large_small", "asymmetric"], "", "sizes and wheel paths of the bumps"
+    ]
     spacing: Annotated[Positive, "m", "between the middles of successive bumps"] = 10.4
     small: _Trapezoid = field(default_factory=lambda: _Trapezoid(height=0.1, ramp=0.5, top=0.4))
     large: _Trapezoid = field(default_factory=lambda: _Trapezoid(height=0.15, ramp=0.75, top=0.6))
@@ -104,9 +103,9 @@ class Bumps(Settings):
     def realise(self, rng: np.random.Generator) -> Surface:
         s = self.ds * np.arange(int(np.ceil(self.length / self.ds)) + 1)
         z = np.zeros((2, s.size))
-        sides = [SIDES[side] for _, side in LAYOUTS[self.layout]]
-        for block, middle, side in zip(self.blocks, self.middles, sides, strict=True):
-            z[side] += block.height_at(s - middle)
+        rows = zip(self.blocks, self.middles, LAYOUTS[self.layout], strict=True)
+        for block, middle, (_, side) in rows:
+            z[SIDES[side]] += block.height_at(s - middle)
         return Surface(z, self.ds, name=f"bumps {self.layout}")
 
 
@@ -224,11 +223,11 @@ class Potholes(Settings):
 
 
 def _flat_road_grid(length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the stations (N,) [m] of a road of `length` [m], and heights (2, N) of 0."""
+    """Stations (N,) [m] of a road of `length` [m], and heights (2, N) of 0."""
     s = SAMPLE_SPACING * np.arange(round(length / SAMPLE_SPACING) + 1)
     return s, np.zeros((2, s.size))
 
 
 def _footprint(s: np.ndarray, middle: float, length: float) -> slice:
-    """Return the slice of the stations `s` (N,) [m] that a defect covers."""
+    """Slice of the stations `s` (N,) [m] that a defect covers."""
     return slice(*np.searchsorted(s, [middle - 0.5 * length, middle + 0.5 * length]))

@@ -22,16 +22,8 @@ import numpy as np
 from road_envs.core.config import NonNegative, Positive, Settings
 from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, SampleSpacing, Surface, check_size
 
-PathSigns = Literal["in_phase", "antiphase", "left", "right"]
-SIGNS: dict[PathSigns, tuple[float, float]] = {
-    "in_phase": (1.0, 1.0),
-    "antiphase": (1.0, -1.0),
-    "left": (1.0, 0.0),
-    "right": (0.0, 1.0),
-}
+SIGNS = {"in_phase": (1, 1), "antiphase": (1, -1), "left": (1, 0), "right": (0, 1)}
 """Factors of the sine on the left and the right wheel path."""
-
-MIN_SAMPLES_PER_WAVE = 8  # least number of samples per wavelength
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +36,9 @@ class SineSweep(Settings):
     progress: Annotated[Literal["linear", "logarithmic"], "", "of the frequency"] = "logarithmic"
     amplitude: Annotated[Positive, "m", "at the start"]
     amplitude_end: Annotated[Positive, "m", "at the end"]
-    paths: Annotated[PathSigns, "", "wheel paths and their phase"] = "in_phase"
+    paths: Annotated[
+        Literal["in_phase", "antiphase", "left", "right"], "", "wheel paths and their phase"
+    ] = "in_phase"
     taper: Annotated[NonNegative, "m", "length of the taper at either end"] = 2.0
     ds: SampleSpacing = 0.01
 
@@ -55,22 +49,20 @@ class SineSweep(Settings):
             raise ValueError(
                 f"two tapers of {self.taper} m do not fit into a length of {self.length} m"
             )
-        if not max(self.n_start, self.n_end) * MIN_SAMPLES_PER_WAVE * self.ds <= 1.0:
+        if not max(self.n_start, self.n_end) * 8 * self.ds <= 1.0:
             raise ValueError(
-                f"n_start and n_end must be at most 1 / ({MIN_SAMPLES_PER_WAVE} ds) = "
-                f"{1.0 / (MIN_SAMPLES_PER_WAVE * self.ds):g} cycles/m, "
+                f"n_start and n_end must be at most 1 / (8 ds) = {1.0 / (8 * self.ds):g} cycles/m, "
                 f"got {self.n_start} and {self.n_end}"
             )
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        s = self.ds * np.arange(round(self.length / self.ds) + 1)
-        z = self.height(s)
+        z = self.height(self.ds * np.arange(round(self.length / self.ds) + 1))
         return Surface(np.outer(SIGNS[self.paths], z), self.ds, name="sine sweep")
 
     def height(self, s: np.ndarray) -> np.ndarray:
         """Return the height [m] of the sine at stations `s` [m] in [0, length], of any shape."""
         envelope = self.amplitude * (self.amplitude_end / self.amplitude) ** (s / self.length)
-        taper = np.ones_like(s)
+        taper = 1.0
         if self.taper > 0.0:
             inside = np.clip(np.minimum(s, self.length - s) / self.taper, 0.0, 1.0)
             taper = 0.5 - 0.5 * np.cos(np.pi * inside)

@@ -1,11 +1,10 @@
 """Road surface: heights of both wheel paths on one uniform grid.
 
 Between grid points the height is the Catmull-Rom cubic, which passes through the samples and has
-a continuous slope; before the first and after the last sample the road is level. The simulator and
-the methods of `Surface` use the same kernels.
+a continuous slope; before the first and after the last sample the road is level.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, NamedTuple
 
@@ -14,8 +13,7 @@ import numpy as np
 from road_envs.core.config import ConfigError, Positive
 from road_envs.kernels._numba import kernel
 
-PAD = 3
-"""Number of repeated samples at each end of `Surface.padded`; spares the kernel a special case."""
+PAD = 3  # repeated samples at each end of `Surface.padded`; spares the kernel a special case
 
 RoadLength = Annotated[Positive, "m", "length of the road"]
 DEFAULT_LENGTH: RoadLength = 100.0  # default of `RoadLength`, the length of the paper's roads
@@ -23,16 +21,11 @@ DEFAULT_LENGTH: RoadLength = 100.0  # default of `RoadLength`, the length of the
 SampleSpacing = Annotated[Positive, "m", "spacing of the samples"]
 
 MAX_SAMPLES = 50_000_000  # largest number of samples per wheel path: 400 MB
-
-MAX_HEIGHT = 10_000.0
-"""Largest height [m] of a surface, up or down; beyond it, heights are in another unit."""
-
+MAX_HEIGHT = 1e4  # largest height [m], up or down: beyond any on Earth, heights are in another unit
+RISE_LENGTH = 0.05  # length [m] over which a rise is taken
 MAX_RISE = 0.2
 """Greatest rise [m] within RISE_LENGTH that a wheel climbs: half the radius of about 0.4 m of a
-7.50 R16 tyre. There its contact with a step is 60 degrees from the vertical.
-"""
-
-RISE_LENGTH = 0.05  # length [m] over which a rise is taken
+7.50 R16 tyre. There its contact with a step is 60 degrees from the vertical."""
 
 
 class SurfaceBuffers(NamedTuple):
@@ -85,7 +78,7 @@ class Surface:
     ds: float
     start: float = 0.0
     name: str = "surface"
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self):
         z = np.array(self.z, dtype=float)
@@ -97,7 +90,7 @@ class Surface:
             raise ValueError(
                 f"{self.name}: heights up to {highest:.4g} m; the limit is {MAX_HEIGHT:g} m"
             )
-        if not (np.isfinite(self.ds) and self.ds > 0):
+        if not 0.0 < self.ds < np.inf:
             raise ValueError(
                 f"{self.name}: the spacing ds must be positive and finite, got {self.ds}"
             )
@@ -162,17 +155,13 @@ class Surface:
         return z.reshape(2, *s.shape), slope.reshape(2, *s.shape)
 
 
-GAUSS_POINTS = 0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)
-"""Nodes of two-point Gauss-Legendre quadrature on [0, 1], exact for cubics."""
-
-
 def enveloped(surface: Surface, contact_length: float) -> Surface:
     """Return the surface enveloped by a tyre: moving average over the contact length L [m].
 
-    This is the fixed-footprint model of Captain, Boghani & Wormley (1979, "Analytical tire models
-    for dynamic vehicle simulation", Vehicle System Dynamics 8) with a rigid footprint: a sine of
-    n [cycles/m] is scaled by sin(pi n L) / (pi n L). The grid is that of `surface`, extended by
-    half a contact length at both ends. Raises ValueError on a length that is not positive.
+    This is the rigid fixed footprint of Captain, Boghani & Wormley (1979, "Analytical tire models
+    for dynamic vehicle simulation", Vehicle System Dynamics 8): a sine of n [cycles/m] is scaled by
+    sin(pi n L) / (pi n L). The grid is that of `surface`, extended by half a contact length at both
+    ends. Raises ValueError on a length that is not positive.
     """
     if not 0 < contact_length < np.inf:
         raise ValueError(f"the contact length must be positive and finite, got {contact_length} m")
@@ -182,7 +171,9 @@ def enveloped(surface: Surface, contact_length: float) -> Surface:
     level = surface.z[:, :1]  # subtracted, so that cumulative areas stay small at any altitude
 
     def mean_between(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
-        points = [begin + x * (end - begin) for x in GAUSS_POINTS]
+        # two-point Gauss-Legendre quadrature, exact for cubics
+        nodes = 0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)
+        points = [begin + x * (end - begin) for x in nodes]
         return 0.5 * sum(surface.height(s) for s in points) - level
 
     areas = np.cumsum(ds * mean_between(ends[:-1], ends[1:]), axis=1)
@@ -195,8 +186,7 @@ def enveloped(surface: Surface, contact_length: float) -> Surface:
     s = surface.start + ds * np.arange(-beyond, surface.z.shape[1] + beyond)
     z = level + (area_before(s + half) - area_before(s - half)) / contact_length
     note = f"enveloped over a contact length of {1000.0 * contact_length:.0f} mm"
-    notes = (*surface.notes, note)
-    return replace(surface, z=z, start=float(s[0]), notes=notes)
+    return replace(surface, z=z, start=float(s[0]), notes=(*surface.notes, note))
 
 
 def check_size(length: float, ds: float, what: str = "length") -> None:

@@ -18,6 +18,7 @@ from leaderboard.report.animation import animate
 from leaderboard.report.rendering import STATIC
 from road_envs.core.config import ConfigError
 from road_envs.envs.road_recon import RoadReconEnv
+from road_envs.records.record import SENSORS
 from road_envs.rendering import HEIGHT, WIDTH, Scene, panels, render_frame, style
 from road_envs.roads import load_road
 from road_envs.simulation.drive import DriveSimulator
@@ -41,7 +42,8 @@ def scene(road="flat", seconds=0.05, mode="ride", **changes):
     surface = load_road(road).realise(np.random.default_rng(0))
     drive = DriveSimulator(build_plant(CAR), CAR, surface, 10.0, mode)
     trajectory = drive.advance(np.full(round(1000 * seconds), encode_command(mode), dtype=np.uint8))
-    default = Scene.from_drive(drive, trajectory, np.zeros((3, 50)), 1000.0, 4.0, 1.0)
+    view = np.zeros((3, 50)), 1000.0, 4.0, 1.0, SENSORS
+    default = Scene.from_drive(drive, trajectory, *view)
     return dataclasses.replace(default, **changes)
 
 

@@ -30,16 +30,11 @@ from road_envs.roads.formats.opencrg import (
     SurfaceFileError,
     checked_heights,
     number,
+    require,
 )
 from road_envs.roads.formats.table import WheelPaths, metres, parse_number_rows
 
 FLOAT, TEXT = 1, 5  # number types that can be read
-PLAUSIBLE_RANGE = (1e-9, 1e9)  # range of the magnitude of plausible numbers other than 0
-
-MIN_PLAUSIBLE_SHARE = 0.9
-"""Least fraction of plausible numbers that the better byte order must reach."""
-
-MAX_CHANNELS = 1000
 
 
 def read(path: str | Path) -> WheelPaths:
@@ -47,33 +42,24 @@ def read(path: str | Path) -> WheelPaths:
     beside = Path(path).with_suffix(".bin")
 
     def read_binary() -> bytes:
-        if not beside.is_file():
-            raise SurfaceFileError(f"its numbers should be in {beside.name}, which is missing")
+        require(beside.is_file(), f"its numbers should be in {beside.name}, which is missing")
         return beside.read_bytes()
 
     return _parse(regular(path).read_bytes(), read_binary)
 
 
 def _parse(data: bytes, read_binary: Callable[[], bytes]) -> WheelPaths:
-    """Return both wheel paths from the bytes of a file; `read_binary` returns those of the other.
-
-    Raises SurfaceFileError.
-    """
-    if data[:9].upper() != b"ERDFILEV2":
-        raise SurfaceFileError("not an ERD file: it does not begin with ERDFILEV2")
+    """Return both wheel paths from the bytes of a file; `read_binary` returns the other's."""
+    require(data[:9].upper() == b"ERDFILEV2", "not an ERD file: it does not begin with ERDFILEV2")
     data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     end = re.search(rb"(?m)^END *$", data)
     if end is None:
         raise SurfaceFileError("damaged: the line END of the header is missing")
     lines = data[: end.start()].decode("latin-1").split("\n")
     fields = lines[1].split(",")
-    if len(fields) < 6:
-        raise SurfaceFileError(f"damaged: its second line has {len(fields)} numbers instead of 6")
+    require(len(fields) >= 6, f"damaged: its second line has {len(fields)} numbers instead of 6")
     channels, samples, number_type = (_whole_number(fields[k]) for k in (0, 1, 4))
-    if not 0 < channels <= MAX_CHANNELS:
-        raise SurfaceFileError(
-            f"damaged: {channels} channels, the number must be 1 to {MAX_CHANNELS}"
-        )
+    require(0 < channels <= 1000, f"damaged: {channels} channels, the number must be 1 to 1000")
     if number_type not in (FLOAT, TEXT):
         raise SurfaceFileError(
             f"unknown number type {number_type}; known: 1 (4-byte float) and 5 (text)"
@@ -93,34 +79,27 @@ def _parse(data: bytes, read_binary: Callable[[], bytes]) -> WheelPaths:
             f"damaged: {values.size} numbers, but the header states {stated or 'complete'} "
             f"samples of {channels} channels"
         )
-    table = values.reshape(samples, channels)
-    pair = _left_and_right(channels, keywords)
-    z = [checked_heights(table[:, k], scale) for k, scale in pair]
-    return WheelPaths(np.array(z), step)
+    table, pair = values.reshape(samples, channels), _left_and_right(channels, keywords)
+    return WheelPaths(np.array([checked_heights(table[:, k], scale) for k, scale in pair]), step)
 
 
 def _text(body: bytes) -> np.ndarray:
     words = body.decode("latin-1").replace(",", " ").split()
-    if not words:
-        return np.empty(0)
-    return parse_number_rows(words, comments=None).ravel()
+    return parse_number_rows(words, comments=None).ravel() if words else np.empty(0)
 
 
 def _floats(body: bytes) -> np.ndarray:
-    if len(body) % 4:
-        raise SurfaceFileError(f"damaged: {len(body)} bytes are not a multiple of 4-byte floats")
+    require(len(body) % 4 == 0, f"damaged: {len(body)} bytes are not a multiple of 4-byte floats")
     both = [np.frombuffer(body, f"{order}f4") for order in "<>"]
     shares = [_plausible_share(values) for values in both]
-    if max(shares) < MIN_PLAUSIBLE_SHARE:
-        raise SurfaceFileError("damaged: its numbers are implausible in either byte order")
+    require(max(shares) >= 0.9, "damaged: its numbers are implausible in either byte order")
     return both[int(np.argmax(shares))].astype(float)
 
 
 def _plausible_share(values: np.ndarray) -> float:
     """Return the fraction of `values` (N,) that are 0, NaN or of a plausible magnitude."""
     size = np.abs(values[(values != 0.0) & ~np.isnan(values)])
-    implausible = (size < PLAUSIBLE_RANGE[0]) | (size > PLAUSIBLE_RANGE[1])
-    return 1.0 - implausible.sum() / max(1, values.size)
+    return 1.0 - ((size < 1e-9) | (size > 1e9)).sum() / max(1, values.size)
 
 
 def _left_and_right(channels: int, keywords: Mapping[str, str]) -> list[tuple[int, float]]:
@@ -130,27 +109,23 @@ def _left_and_right(channels: int, keywords: Mapping[str, str]) -> list[tuple[in
         for key, width in (("SHORTNAM", 8), ("LONGNAME", 32), ("UNITSNAM", 8))
     )
     lengths = [k for k in range(channels) if normalise(unit[k]) in FACTORS["distance"]]
-    if channels == 1:
-        pair = [0, 0]
-    else:
-        pair = []
-        for letter, word in (("l", "left"), ("r", "right")):
-            pattern = re.compile(rf"{letter}\W*elev|.*\b{word}\b", re.IGNORECASE)
-            matches = [k for k in lengths if pattern.match(short[k]) or pattern.match(long[k])]
-            if len(matches) != 1:
-                known = ", ".join(f"{name} [{u}]" for name, u in zip(short, unit, strict=True))
-                raise SurfaceFileError(
-                    f"{len(matches)} channels match the {word} wheel path, expected 1 among: "
-                    f"{known:.200}"
-                )
-            pair += matches
+    pair = []
+    for letter, word in (("l", "left"), ("r", "right")):
+        pattern = re.compile(rf"{letter}\W*elev|.*\b{word}\b", re.IGNORECASE)
+        matches = [k for k in lengths if pattern.match(short[k]) or pattern.match(long[k])]
+        matches = matches if channels > 1 else [0]
+        if len(matches) != 1:
+            known = ", ".join(f"{name} [{u}]" for name, u in zip(short, unit, strict=True))
+            raise SurfaceFileError(
+                f"{len(matches)} channels match the {word} wheel path, expected 1 among: "
+                f"{known:.200}"
+            )
+        pair += matches
     return [(k, metres(unit[k], f"channel {k + 1}")) for k in pair]
 
 
 def _whole_number(text: str) -> int:
     value = number(text, "a number in its second line")
-    if value != round(value) or not abs(value) < 1e12:
-        raise SurfaceFileError(
-            f"damaged: {text.strip()!r:.40} in its second line is not an integer"
-        )
+    whole = value == round(value) and abs(value) < 1e12
+    require(whole, f"damaged: {text.strip()!r:.40} in its second line is not an integer")
     return int(value)

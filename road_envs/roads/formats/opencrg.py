@@ -10,8 +10,8 @@ Only the heights over (u, v) are read and scaled by the modifiers of the file; m
 NaN. Heading, slope and banking of the reference line are topography rather than roughness: they are
 ignored, with a note if they are not 0.
 
-Any inconsistency raises SurfaceFileError. The length of the payload is checked against the header
-before anything is allocated, so that a damaged header cannot exhaust memory.
+The length of the payload is checked against the header before anything is allocated, so that a
+damaged header cannot exhaust memory.
 """
 
 import math
@@ -21,16 +21,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from road_envs.core.config import ConfigError
+from road_envs.roads.surface import MAX_HEIGHT
 
 RECORD = 80  # characters or bytes of one record
 WIDTHS = {"LRFI": 10, "LDFI": 20, "KRBI": 4, "KDBI": 8}  # characters or bytes of one number
-MAX_HEIGHT = 1e4  # largest height [m] of an intact file; it exceeds any on Earth
 MAX_LENGTH = 1e7  # largest length [m] of an intact file
 DEFAULT_INCREMENT = 0.01  # increment of u and v [m] if the header states none
 
 
 class SurfaceFileError(ConfigError):
     """A surface file cannot be used."""
+
+
+def require(condition: object, sentence: str) -> None:
+    """Raise SurfaceFileError with the `sentence` unless the `condition` holds."""
+    if not condition:
+        raise SurfaceFileError(sentence)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +59,7 @@ def parse(data: bytes) -> CurvedGrid:
     if "ROAD_CRG_FILE" in blocks:
         raise SurfaceFileError("it only refers to another file ($ROAD_CRG_FILE); use that file")
     for name in ("ROAD_CRG", "KD_DEFINITION"):
-        if name not in blocks:
-            raise SurfaceFileError(f"not an OpenCRG file: no ${name} block")
+        require(name in blocks, f"not an OpenCRG file: no ${name} block")
     road = _virtual_u(blocks["KD_DEFINITION"]) | _numbers(blocks["ROAD_CRG"], "ROAD_CRG")
     scale = _numbers(blocks.get("ROAD_CRG_MODS", []), "ROAD_CRG_MODS")
     data_format, channels = _channels(blocks["KD_DEFINITION"])
@@ -62,11 +67,9 @@ def parse(data: bytes) -> CurvedGrid:
     du = _positive(road, "reference_line_increment", DEFAULT_INCREMENT)
     read = _binary if data_format.startswith("K") else _text
     table = read(payload, WIDTHS[data_format], len(channels), _rows(road, du))
-    if len(table) < 2:
-        raise SurfaceFileError(f"at least 2 rows of data are required, got {len(table)}")
-    z = checked_heights(table[:, sections], scale.get("scale_z_grid", 1.0))
+    require(len(table) >= 2, f"at least 2 rows of data are required, got {len(table)}")
     return CurvedGrid(
-        z=z,
+        z=checked_heights(table[:, sections], scale.get("scale_z_grid", 1.0)),
         u_start=road.get("reference_line_start_u", 0.0),
         du=du * _positive(scale, "scale_length", 1.0),
         v=v * _positive(scale, "scale_width", 1.0),
@@ -78,18 +81,14 @@ def _split(data: bytes) -> tuple[dict[str, list[str]], bytes]:
     """Return the lines of the header's blocks by upper-case name, and the payload."""
     blocks: dict[str, list[str]] = {}
     block, position = None, 0
-    while position < len(data):
-        end = data.find(b"\n", position)
-        if end < 0:
-            break
+    while (end := data.find(b"\n", position)) >= 0:
         line = data[position:end].rstrip(b"\r")[:72].decode("latin-1")
         position = end + 1
         if line.startswith("$$") and block != "CT":
             return blocks, data[position:]
         if line.startswith("$"):
             block = re.split(r"[\s!]", line[1:], maxsplit=1)[0].upper() or None
-            if block in blocks and block != "CT":
-                raise SurfaceFileError(f"block ${block} appears twice")
+            require(block not in blocks or block == "CT", f"block ${block} appears twice")
             if block:
                 blocks.setdefault(block, [])
         elif block and not line.startswith("*"):
@@ -104,13 +103,10 @@ def _numbers(lines: list[str], block: str) -> dict[str, float]:
     )
     values: dict[str, float] = {}
     for line in lines:
-        key, _, text = line.partition("=")
-        key = key.strip().lower()
-        if not used.fullmatch(key):
-            continue
-        if key in values:
-            raise SurfaceFileError(f"{key} appears twice in ${block}")
-        values[key] = number(text, key)
+        name, _, text = line.partition("=")
+        if used.fullmatch(key := name.strip().lower()):
+            require(key not in values, f"{key} appears twice in ${block}")
+            values[key] = number(text, key)
     return values
 
 
@@ -130,8 +126,7 @@ def number(text: str, what: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
-        raise SurfaceFileError(f"{what} = {text.strip()!r:.40} is not a number")
+    require(math.isfinite(value), f"{what} = {text.strip()!r:.40} is not a number")
     return value
 
 
@@ -146,8 +141,7 @@ def _channels(lines: list[str]) -> tuple[str, list[tuple[str, str]]]:
             channels.append((" ".join(name.lower().split()), unit.split(",")[0].strip().lower()))
     if data_format not in WIDTHS:
         raise SurfaceFileError(f"unknown data format {data_format!r}; known: {', '.join(WIDTHS)}")
-    if not channels:
-        raise SurfaceFileError("$KD_DEFINITION defines no channel")
+    require(channels, "$KD_DEFINITION defines no channel")
     return data_format, channels
 
 
@@ -156,11 +150,9 @@ def _sections(
 ) -> tuple[list[int], np.ndarray]:
     """Return the columns of the long sections from right to left, and their v [m]."""
     named = [(k, name, unit) for k, (name, unit) in enumerate(channels) if "long section" in name]
-    if len(named) < 2:
-        raise SurfaceFileError(f"at least 2 long sections are required, got {len(named)}")
+    require(len(named) >= 2, f"at least 2 long sections are required, got {len(named)}")
     for _, name, unit in named:
-        if unit != "m":
-            raise SurfaceFileError(f"{name!r} is in {unit!r}, the unit must be m")
+        require(unit == "m", f"{name!r} is in {unit!r}, the unit must be m")
     by_position = [re.fullmatch(r"long section at v ?= ?(\S+)", name) for _, name, _ in named]
     by_number = [re.fullmatch(r"long section (\d+)", name) for _, name, _ in named]
     if all(by_position):
@@ -178,8 +170,7 @@ def _sections(
         raise SurfaceFileError(
             f"v of long sections must be below {MAX_LENGTH:g} m, got {np.abs(v).max():g} m"
         )
-    if not (np.diff(v[order]) > 0.0).all():
-        raise SurfaceFileError("two long sections have the same v")
+    require((np.diff(v[order]) > 0.0).all(), "two long sections have the same v")
     return [named[k][0] for k in order], v[order]
 
 
@@ -192,8 +183,7 @@ def _lateral_grid(road: dict[str, float], sections: int) -> tuple[float, float]:
     width = step * (sections - 1)
     if right is None:
         right = -0.5 * width if left is None else left - width
-    if not step > 0.0:
-        raise SurfaceFileError(f"long_section_v_increment must be positive, got {step:g}")
+    require(step > 0.0, f"long_section_v_increment must be positive, got {step:g}")
     if left is not None and abs(right + width - left) > 0.01 * step:
         raise SurfaceFileError(
             f"{sections} sections from v = {right:g} m, {step:g} m apart, do not end at {left:g} m"
@@ -202,11 +192,9 @@ def _lateral_grid(road: dict[str, float], sections: int) -> tuple[float, float]:
 
 
 def _positive(values: dict[str, float], key: str, default: float) -> float:
-    if not 0.0 < values.get(key, default) < MAX_LENGTH:
-        raise SurfaceFileError(
-            f"{key} must be positive and below {MAX_LENGTH:g}, got {values[key]:g}"
-        )
-    return values.get(key, default)
+    x = values.get(key, default)
+    require(0.0 < x < MAX_LENGTH, f"{key} must be positive and below {MAX_LENGTH:g}, got {x:g}")
+    return x
 
 
 def _rows(road: dict[str, float], du: float) -> int | None:
@@ -215,10 +203,8 @@ def _rows(road: dict[str, float], du: float) -> int | None:
         return None
     length = road["reference_line_end_u"] - road.get("reference_line_start_u", 0.0)
     steps = length / du
-    if not (0.5 < steps < 1e12 and abs(steps - round(steps)) < 0.1):
-        raise SurfaceFileError(
-            f"a reference line of {length:g} m is not a whole number of steps of {du} m"
-        )
+    whole = 0.5 < steps < 1e12 and abs(steps - round(steps)) < 0.1
+    require(whole, f"a reference line of {length:g} m is not a whole number of steps of {du} m")
     return round(steps) + 1
 
 
@@ -265,8 +251,7 @@ def _fields(lines: list[bytes], count: int, width: int) -> np.ndarray:
     for row, line in enumerate(lines, start=1):
         if len(line.rstrip()) <= (count - 1) * width:
             raise SurfaceFileError(f"damaged: row {row} of the data is too short: {line!r}")
-    size = count * width
-    block = b"".join(line.rstrip()[:size].ljust(size) for line in lines)
+    block = b"".join(line.rstrip()[: count * width].ljust(count * width) for line in lines)
     fields = np.char.strip(np.frombuffer(block, f"S{width}").reshape(len(lines), count))
     fields[np.char.startswith(fields, b"*")] = b"nan"
     try:
@@ -282,8 +267,7 @@ def checked_heights(z: np.ndarray, scale: float = 1.0) -> np.ndarray:
     """
     with np.errstate(all="ignore"):
         largest = np.nan_to_num(np.abs(scale * z), posinf=np.inf).max()
-    if not largest < MAX_HEIGHT:
-        raise SurfaceFileError(f"damaged: a height of {largest:g} m")
+    require(largest < MAX_HEIGHT, f"damaged: a height of {largest:g} m")
     return scale * z
 
 

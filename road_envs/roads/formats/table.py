@@ -3,8 +3,7 @@
 A table has the columns distance, left, right [m], or distance and one height for both wheel paths.
 Columns of a text file are separated by white space, comma, semicolon or tab; with the latter two
 the decimal mark may be a comma. Lines that begin with "#" and one line of column names are skipped;
-a name may have a unit, as in "left [mm]" and "left_mm". Columns of a Parquet file are found by
-name.
+a name may have a unit, as in "left [mm]" and "left_mm".
 """
 
 import re
@@ -16,16 +15,13 @@ from road_envs.core.config import ConfigError
 from road_envs.core.extras import import_pyarrow
 from road_envs.core.reading import MAX_COMPRESSION
 from road_envs.records import units
-from road_envs.roads.formats.opencrg import MAX_LENGTH, SurfaceFileError, checked_heights
+from road_envs.roads.formats.opencrg import MAX_LENGTH, SurfaceFileError, checked_heights, require
 
-EVEN_TOLERANCE = 1e-3
-"""Stations are uniform if no spacing differs from the median by more than this fraction of it."""
+COLUMNS = "the columns must be distance, left, right, or distance, height, got"
 
 
 class WheelPaths(NamedTuple):
-    """Heights `z` (2, N) [m] of the left and right wheel path, their spacing `ds` [m], notes, and
-    the station `start` [m] of the first in the file.
-    """
+    """Heights `z` (2, N) [m] of both wheel paths, their spacing, and the first station [m]."""
 
     z: np.ndarray
     ds: float
@@ -46,16 +42,11 @@ def parse_text(data: bytes) -> WheelPaths:
         float(_cells(lines[0], mark)[0] if lines else "0")
     except ValueError:
         names = [cell.lower() for cell in _cells(lines.pop(0), mark)]
-    if not lines:
-        raise SurfaceFileError("the table is empty")
+    require(lines, "the table is empty")
     if mark in (";", "\t") and any(re.search(r"\d,\d", line) for line in lines[:100]):
         lines = [line.replace(",", ".") for line in lines]
     table = parse_number_rows([re.sub("[,;\t]", " ", line) for line in lines])
-    if table.shape[1] not in (2, 3):
-        raise SurfaceFileError(
-            f"the columns must be distance, left, right, or distance, height, "
-            f"got {table.shape[1]} columns"
-        )
+    require(table.shape[1] in (2, 3), f"{COLUMNS} {table.shape[1]} columns")
     order = [1, -1]
     if len(names) == table.shape[1]:
         found = [(name, units.split_header(name, "distance")[1] or "m") for name in names]
@@ -70,8 +61,7 @@ def parse_text(data: bytes) -> WheelPaths:
 
 def _cells(line: str, mark: str | None) -> list[str]:
     """Return the cells of a line; those of white space are split outside of brackets."""
-    pattern = re.escape(mark) if mark else r"\s+(?![\[(])"
-    return [cell.strip() for cell in re.split(pattern, line)] or [""]
+    return [cell.strip() for cell in re.split(mark or r"\s+(?![\[(])", line)]
 
 
 def metres(unit: str, what: str) -> float:
@@ -115,10 +105,7 @@ def parse_number_rows(lines: list[str], comments: str | None = "#") -> np.ndarra
 
 
 def _resample_evenly(s: np.ndarray, z: np.ndarray) -> WheelPaths:
-    """Return wheel paths `z` (2, N) at stations `s` (N,) [m] on a uniform grid.
-
-    Stations that are not uniform are resampled to the median spacing. Raises SurfaceFileError.
-    """
+    """Wheel paths `z` (2, N) at `s` (N,) [m]; uneven ones are resampled to the median spacing."""
     if not (np.abs(s) < MAX_LENGTH).all():
         raise SurfaceFileError(
             f"distances must be below {MAX_LENGTH:g} m, got {s[~(np.abs(s) < MAX_LENGTH)][0]:g} m"
@@ -128,10 +115,9 @@ def _resample_evenly(s: np.ndarray, z: np.ndarray) -> WheelPaths:
         raise SurfaceFileError(
             f"the distance does not increase at row {np.argmin(steps > 0.0) + 2}; sort the rows"
         )
-    if s.size < 2:
-        raise SurfaceFileError("at least 4 stations are required, got 1")
+    require(s.size >= 2, "at least 4 stations are required, got 1")
     ds = float(np.median(steps))
-    if (np.abs(steps - ds) < EVEN_TOLERANCE * ds).all():
+    if (np.abs(steps - ds) < 1e-3 * ds).all():  # uniform
         return WheelPaths(z, float((s[-1] - s[0]) / steps.size), start=float(s[0]))
     size = float(s[-1] - s[0]) / ds + 1.0
     if size > 4.0 * s.size:
@@ -145,12 +131,9 @@ def _resample_evenly(s: np.ndarray, z: np.ndarray) -> WheelPaths:
 
 
 def _columns(names: list[str]) -> list[str]:
-    """Return the columns to read among `names`: distance, left, right, or distance, height."""
+
     for layout in (("distance", "left", "right"), ("distance", "height")):
         matches = [[name for name in names if name.strip().lower() == key] for key in layout]
         if all(len(same) == 1 for same in matches):
             return [name for (name,) in matches]
-    raise SurfaceFileError(
-        "the columns must be distance, left, right, or distance, height, "
-        f"got {', '.join(names) or 'none'}"
-    )
+    raise SurfaceFileError(f"{COLUMNS} {', '.join(names) or 'none'}")

@@ -1,8 +1,7 @@
 """Writers of surface files: text tables, Parquet, OpenCRG and ERD. All writes are atomic.
 
 In an OpenCRG file each wheel path is laterally level over half a track width, so that a tyre of
-any width is on it: the four long sections are at v = -3, -1, 1 and 3 quarters of the track, and
-readers interpolate between the paths.
+any width is on it: four long sections are at v = -3, -1, 1 and 3 quarters of the track.
 """
 
 import json
@@ -30,10 +29,8 @@ def write(surface: Surface, path: str | Path) -> None:
 
 def write_csv(surface: Surface, path: str | Path) -> None:
     """Write distance, left and right height [m] as CSV with a resolution of 1 nm."""
-    rows = [
-        f"{s:.9f},{left:.9f},{right:.9f}"
-        for s, left, right in zip(surface.s, *surface.z, strict=True)
-    ]
+    table = zip(surface.s, *surface.z, strict=True)
+    rows = [f"{s:.9f},{left:.9f},{right:.9f}" for s, left, right in table]
     remarks = [f"# {line}" for line in _remarks(surface)]
     write_text(path, "\n".join([*remarks, "distance,left,right", *rows, ""]))
 
@@ -62,16 +59,17 @@ def write_crg(surface: Surface, path: str | Path, data_format: str = "KDBI") -> 
 
 def _write_erd(surface: Surface, path: str | Path) -> None:
     """Write left and right elevation [mm] as an ERD text file with a resolution of 1 nm."""
+    name, *notes = (x.encode("ascii", "replace").decode("ascii") for x in _remarks(surface))
     lines = [
         "ERDFILEV2.00",
         f"2, {surface.z.shape[1]}, -1, 1, 5, {surface.ds!r}, -1,",
-        f"TITLE   {_ascii(surface.name)[:80]}",
+        f"TITLE   {name[:80]}",
         "SHORTNAMLElev.  RElev.",
         "UNITSNAMmm      mm",
         f"LONGNAME{'Left elevation':32}Right elevation",
         "XLABEL  Distance",
         "XUNITS  m",
-        *(f"HISTORY {_ascii(note)[:80]}" for note in surface.notes),
+        *(f"HISTORY {note[:80]}" for note in notes),
         "END",
         *(f"{left:.6f} {right:.6f}" for left, right in 1e3 * surface.z.T),
         "",
@@ -88,7 +86,6 @@ WRITERS: dict[str, Callable[[Surface, str | Path], None]] = {
 
 
 def _remarks(surface: Surface) -> list[str]:
-    """Return name and notes, each on one line."""
     return [" ".join(line.split()) for line in (surface.name, *surface.notes)]
 
 
@@ -128,7 +125,3 @@ def _text(grid: np.ndarray, data_format: str) -> bytes:
     decimals = min(15, width - 3 - len(f"{np.abs(grid).max():.0f}"))
     record = "".join([f"{{:{width}.{decimals}f}}"] * grid.shape[1])
     return "".join(record.format(*row) + "\n" for row in grid.tolist()).encode("ascii")
-
-
-def _ascii(text: str) -> str:
-    return " ".join(text.split()).encode("ascii", "replace").decode("ascii")
