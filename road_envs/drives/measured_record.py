@@ -40,8 +40,7 @@ from road_envs.vehicle.suspension import decode_commands, encode_command
 ONE_DEVICE = (
     "one phone will do: record its three axes x, y and z, from which the vertical one is found, or "
     "name a vertical column with --columns a_phone=NAME and its place with --at dashboard"
-)
-"""What to do where a table has no acceleration that is known."""
+)  # what to do where a table has no acceleration that is known
 
 
 class MeasuredRecord(NamedTuple):
@@ -63,17 +62,13 @@ class MeasuredRecord(NamedTuple):
 
 
 def recording_to_record(
-    recording: Recording,
-    wheelbase: float,
-    description: DriveDescription,
-    car: VehicleParameters | None = None,
+    recording: Recording, description: DriveDescription, car: VehicleParameters
 ) -> MeasuredRecord:
     """Return the record of a device with three axes, turned upright. Raises ConfigError."""
-    upright = level(recording)
-    seat = (SEAT_NOTE,) if description.at == "seat" else ()
+    upright, seat = level(recording), (SEAT_NOTE,) if description.at == "seat" else ()
     table = _joined_table(upright.t, upright.vertical, recording.track)
-    # the recording has been read by them
-    drive = to_measured_record(table, wheelbase, replace(description, columns={}, units={}), car)
+    known = replace(description, columns={}, units={})  # the recording has been read by them
+    drive = to_measured_record(table, car.wheelbase, known, car)
     notes = (*upright.notes, *recording.notes, *seat, *drive.notes)
     return drive._replace(notes=notes, place=description.at or "")
 
@@ -85,16 +80,16 @@ def _joined_table(t: np.ndarray, vertical: np.ndarray, track: Series | None) -> 
     """
     import pyarrow as pa
 
-    fast = np.round(t, 6)
-    slow = np.zeros(0) if track is None else np.round(track.t, 6)
-    t = np.union1d(fast, slow)
-    columns = {"t [s]": t, f"{column(DEVICE)} [m/s2]": np.full(t.size, np.nan)}
-    columns[f"{column(DEVICE)} [m/s2]"][np.searchsorted(t, fast)] = vertical
+    parts = [(np.round(t, 6), vertical, f"{column(DEVICE)} [m/s2]")]
     if track is not None:
-        for name, x in zip(("lat", "lon", "v [m/s]", "s [m]"), track.x.T, strict=True):
-            if np.isfinite(x).any():
-                columns[name] = np.full(t.size, np.nan)
-                columns[name][np.searchsorted(t, slow)] = x
+        names, slow = ("lat", "lon", "v [m/s]", "s [m]"), np.round(track.t, 6)
+        known = zip(track.x.T, names, strict=True)
+        parts += [(slow, x, name) for x, name in known if np.isfinite(x).any()]
+    t = np.union1d(parts[0][0], slow if track is not None else ())
+    columns = {"t [s]": t}
+    for own, x, name in parts:
+        columns[name] = np.full(t.size, np.nan)
+        columns[name][np.searchsorted(t, own)] = x
     return {name: pa.array(x) for name, x in columns.items()}
 
 
@@ -104,11 +99,10 @@ def to_measured_record(
     """Return the record in a table, of a vehicle of this `wheelbase` [m].
 
     The speed and the mode of a description are those of the whole drive; each is required if the
-    table does not hold it. A speed besides that of the table is invalid, and so is a mode that
-    differs from it. Modes are those of the `car`, by default of a 4S4 suspension; a car with
-    passive struts needs none. The road extends from the position of the rear axle at the first
-    sample to that of the front axle at the last. Raises one ConfigError that lists all problems,
-    with the columns, and the rows if there are any.
+    table does not hold it, and a speed besides that of the table is invalid, as is another mode.
+    Modes are those of the `car`, by default of a 4S4 suspension; passive struts need none. The road
+    extends from the rear axle at the first sample to the front axle at the last. Raises one
+    ConfigError that lists all problems, with the columns, and the rows if there are any.
     """
     instruments = load_instruments(description.instruments)
     if description.layout is not None:
@@ -143,8 +137,8 @@ def to_measured_record(
         raise ConfigError(
             f"{share:.0%} of the samples are lost; at most {MAX_LOST_SHARE:.0%} may be"
         )
-    v, s, position = motion
-    v, s = (np.interp(even, t - start, x) for x in (v, s))
+    position = motion[2]
+    v, s = (np.interp(even, t - start, x) for x in motion[:2])
     if position is not None:
         position = np.array([np.interp(even, t - start, x) for x in position])
     before = np.searchsorted(clock.t - start, even + 0.5 * dt) - 1  # a state holds until the next
@@ -163,9 +157,7 @@ def to_measured_record(
 
 
 def _new_samples(a: np.ndarray, findings: TableFindings) -> np.ndarray:
-    """Return which rows (N,) of channels (K, N) are samples: all, or those with new values where a
-    logger repeats those of slower sensors.
-    """
+    """Return which rows (N,) of channels (K, N) are samples: all, or the new of repeated ones."""
     new = np.r_[True, (np.diff(np.nan_to_num(a), axis=1) != 0.0).any(axis=0)]
     rows = float(np.median(np.diff(np.flatnonzero(np.r_[new, True]))))
     if rows < 2.0:  # a vehicle that stands repeats its samples, too, but not between new ones

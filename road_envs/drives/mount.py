@@ -25,34 +25,24 @@ from road_envs.records.units import STANDARD_GRAVITY
 
 BLOCK = 1.0  # time [s] over which the specific force is averaged: the body bounces at 1 to 2 Hz
 
-NEAR, COARSE = 8, 300
-"""Least number of blocks of a part with a mount of its own, and number of places at which the
-movement is looked for first.
-"""
+NEAR = 8  # least number of blocks of a part with a mount of its own
+COARSE = 300  # number of places at which a movement is looked for first
 
 MOVED, MOVED_BLINDLY = np.radians(6.0), np.radians(15.0)
 """Least change of direction [rad] between parts that is a movement of the device: of a road, a hill
-of 10 %. The second where speed and heading are not known, so that braking and turning change it.
-"""
+of 10 %. The second where speed and heading are not known, so that braking and turning change it."""
 
 MOST_MOVES = 4  # most movements of a device that is still mounted; more are of a loose one
 LEFT_OUT = 1.5  # time [s] on either side of a movement that is left out
 EXCITED = 0.25  # least standard deviation [m/s²] of a manoeuvre's acceleration that is regressed on
 
-GRAVITY_RANGE = (0.93 * STANDARD_GRAVITY, 1.07 * STANDARD_GRAVITY)
-"""Magnitude [m/s²] of the mean that is gravity: offsets of phones are up to some tenths."""
-
-IN_G = (0.93, 1.07)  # magnitude of the mean of accelerations in g
-
-CORRELATED = 4.0
-"""Blocks for which a residual of the slow motion lasts, in the standard error of the mount."""
+IN_G = (0.93, 1.07)  # magnitude [g] of the mean that is gravity: phones are off by some hundredths
+GRAVITY_RANGE = (0.93 * STANDARD_GRAVITY, 1.07 * STANDARD_GRAVITY)  # the same [m/s²]
+CORRELATED = 4.0  # blocks for which a residual of the slow motion lasts
 
 
 class _Mount(NamedTuple):
-    """A device in its vehicle: the unit vector `up` (3,) in device axes.
-
-    `gravity` [m/s²] is the magnitude found, `tilt_std` [rad] the standard error of `up`.
-    """
+    """Unit vector `up` (3,) in axes of a device, its standard error [rad], and `gravity` [m/s²]."""
 
     up: np.ndarray
     gravity: float
@@ -60,10 +50,7 @@ class _Mount(NamedTuple):
 
 
 class _Levelled(NamedTuple):
-    """Vertical accelerations (N,) [m/s²] of the vehicle at times `t` [s], mounts and notes.
-
-    They are NaN where the device moved in its mount.
-    """
+    """Vertical accelerations (N,) [m/s²] at times `t` [s], NaN where the device moved."""
 
     t: np.ndarray
     vertical: np.ndarray
@@ -92,17 +79,15 @@ def level(recording: Recording) -> _Levelled:
             f"the device of {recording.name} turned in its mount {MOST_MOVES + 1} times or more: "
             "it is loose; fix it and drive again"
         )
-    edges = [-np.inf, *moves, np.inf]
     vertical, mounts = np.full(a.t.size, np.nan), []
-    for begin, end in itertools.pairwise(edges):
+    for begin, end in itertools.pairwise([-np.inf, *moves, np.inf]):
         inside, part = ((x > begin + LEFT_OUT) & (x < end - LEFT_OUT) for x in (t, a.t))
         if inside.sum() < 3:
             continue
         mount = _mount(f[inside], [x[inside] for x in manoeuvres])
         mounts.append(mount)
         vertical[part] = a.x[part] @ mount.up - mount.gravity
-    notes += _mount_notes(mounts, moves)
-    return _Levelled(a.t, vertical, tuple(mounts), tuple(notes))
+    return _Levelled(a.t, vertical, tuple(mounts), (*notes, *_mount_notes(mounts, moves)))
 
 
 def _in_si(recording: Recording) -> tuple[Series, list[str]]:
@@ -176,17 +161,18 @@ def _moves(t: np.ndarray, f: np.ndarray, manoeuvres: list[np.ndarray]) -> list[f
     manoeuvres in common, fits best; the last is one if the levels on both sides differ by MOVED.
     """
     common = np.column_stack([np.empty((t.size, 0)), *manoeuvres])
-    least = MOVED if manoeuvres else MOVED_BLINDLY
+    least, stride = MOVED if manoeuvres else MOVED_BLINDLY, max(1, t.size // COARSE)
     breaks: list[int] = []
+
+    def best_of(places: range) -> int | None:
+        edges = np.array([0, *breaks, t.size])
+        free = [k for k in places if np.abs(edges - k).min() >= NEAR]
+        return min(free, default=None, key=lambda k: _fit(f, common, [*breaks, k])[1])
+
     while len(breaks) <= MOST_MOVES:
-        stride = max(1, t.size // COARSE)
-        best = min(_candidates(breaks, t.size, stride, range(t.size)), default=None,
-                   key=lambda k: _fit(f, common, [*breaks, k])[1])  # fmt: skip
-        if best is None:
+        if (near := best_of(range(0, t.size, stride))) is None:
             break
-        near = range(max(0, best - stride), best + stride + 1)
-        best = min(_candidates(breaks, t.size, 1, near),
-                   key=lambda k: _fit(f, common, [*breaks, k])[1])  # fmt: skip
+        best = best_of(range(max(0, near - stride), near + stride + 1)) or near
         levels = _fit(f, common, trial := sorted([*breaks, best]))[0]
         k = trial.index(best)
         sine = np.linalg.norm(np.cross(levels[k], levels[k + 1]))
@@ -194,12 +180,6 @@ def _moves(t: np.ndarray, f: np.ndarray, manoeuvres: list[np.ndarray]) -> list[f
             break
         breaks = trial
     return [float(t[k] - 0.5 * BLOCK) for k in breaks]
-
-
-def _candidates(breaks: list[int], size: int, stride: int, among: range) -> list[int]:
-    """Return the places of a further break, at least NEAR blocks from ends and other breaks."""
-    edges = np.array([0, *breaks, size])
-    return [k for k in among[::stride] if np.abs(edges - k).min() >= NEAR]
 
 
 def _fit(f: np.ndarray, common: np.ndarray, breaks: list[int]) -> tuple[np.ndarray, float]:
@@ -220,27 +200,25 @@ def _mount(f: np.ndarray, manoeuvres: list[np.ndarray]) -> _Mount:
     up = B[0] / gravity
     across = residual - np.outer(residual @ up, up)
     spread = np.sqrt(np.sum(across**2) / max(f.shape[0] - X.shape[1], 1))
-    inverse = np.linalg.pinv(X.T @ X)
-    tilt_std = float(spread * np.sqrt(CORRELATED * inverse[0, 0]) / gravity)
-    return _Mount(up, gravity, tilt_std)
+    variance = CORRELATED * np.linalg.pinv(X.T @ X)[0, 0]
+    return _Mount(up, gravity, float(spread * np.sqrt(variance) / gravity))
 
 
 def _mount_notes(mounts: list[_Mount], moves: list[float]) -> list[str]:
     if not mounts:
         raise ConfigError("the device moves all the time: fix it in its mount and drive again")
-    angles = [np.degrees(np.arccos(np.clip(np.abs(m.up).max(), -1.0, 1.0))) for m in mounts]
-    names = ["xyz"[int(np.abs(m.up).argmax())] for m in mounts]
-    notes = [
-        f"the device is mounted with its {axis} axis {angle:.0f} ± "
-        f"{max(1.0, 1.96 * np.degrees(m.tilt_std)):.0f} degrees from the vertical, by gravity "
-        f"({m.gravity:.2f} m/s²); its accelerations are turned upright"
-        for axis, angle, m in zip(names, angles, mounts, strict=True)
-    ]
+    notes = []
     if moves:
         turned = ", ".join(f"{at:.0f} s" for at in moves)
-        notes.insert(
-            0,
+        notes.append(
             f"the device moved in its mount at {turned} on its clock: {2 * LEFT_OUT:g} s about "
-            "each are left out, and each part is turned upright by itself; fix the device",
+            "each are left out, and each part is turned upright by itself; fix the device"
+        )
+    for mount in mounts:
+        up, error = np.abs(mount.up), max(1.0, 1.96 * np.degrees(mount.tilt_std))
+        notes.append(
+            f"the device is mounted with its {'xyz'[int(up.argmax())]} axis "
+            f"{np.degrees(np.arccos(min(up.max(), 1.0))):.0f} ± {error:.0f} degrees from the "
+            f"vertical, by gravity ({mount.gravity:.2f} m/s²); its accelerations are turned upright"
         )
     return notes

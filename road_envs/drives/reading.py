@@ -16,8 +16,6 @@ from road_envs.core import config
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.description import (
     DEFAULT_PLACE,
-    DEFAULT_SENSORS,
-    DEVICE_SENSORS,
     DriveDescription,
     read_description,
 )
@@ -60,14 +58,10 @@ class DriveFile(NamedTuple):
 
 
 def read_drive(
-    path: Path,
-    description: Path | DriveDescription | None = None,
-    *,
-    track: Path | None = None,
-    **changes: Any,
+    path: Path, description: Path | DriveDescription | None = None, **options: Any
 ) -> DriveFile:
     """Read the one drive in a file; see `read_drives`. Raises ConfigError if it holds several."""
-    found = read_drives(path, description, track=track, **changes)
+    found = read_drives(path, description, **options)
     if len(found) > 1:
         names = ", ".join(drive.name for drive in found)
         raise ConfigError(
@@ -86,15 +80,14 @@ def read_drives(
 ) -> list[DriveFile]:
     """Read the drives in a file or folder: a record, a table, or a recording of a phone.
 
-    `changes` are fields of a DriveDescription, such as `vehicle` and `at`; they take precedence
-    over the `description`. `track` is a file with speed or positions for a recording without.
-    Raises ConfigError.
+    `changes` are fields of a DriveDescription, such as `vehicle` and `at`, which take precedence
+    over the `description`; `track` has speed or positions of a recording without. Raises
+    ConfigError.
     """
     described = read_description(description) if isinstance(description, Path) else description
     chosen = (described or DriveDescription()).updated(**changes)
     if path.exists() and not path.is_dir() and is_record(path):
-        options = {**changes, "track": track}
-        given = [key for key, value in options.items() if value is not None]
+        given = [key for key, x in {**changes, "track": track}.items() if x is not None]
         return [_read_record(path, chosen, given, described is not None)]
     source = read_source(path, chosen)
     if not isinstance(source, Recording):
@@ -118,9 +111,8 @@ def read_drives(
             source = source.with_track(read_track(track, chosen), track.name)
         car = load_vehicle(chosen.vehicle)
         parts = drives_of(source)
-        labels = [path.name] if len(parts) == 1 else [part.name for part in parts]
-        pairs = zip(parts, labels, strict=True)
-        return [_of_recording(part, label, chosen, car) for part, label in pairs]
+        label = path.name if len(parts) == 1 else None
+        return [_of_recording(part, label or part.name, chosen, car) for part in parts]
     except ConfigError as error:
         raise ConfigError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
 
@@ -130,10 +122,10 @@ def _of_recording(
 ) -> DriveFile:
     place = f"the device is taken to lie on the {DEFAULT_PLACE} (--at says where it lay)"
     notes = () if chosen.at else (place,)
-    chosen = chosen.updated(at=chosen.at or DEFAULT_PLACE, sensors=chosen.sensors or DEVICE_SENSORS)
-    measured = recording_to_record(part, car.wheelbase, chosen, car)
-    vehicle, sensors = str(chosen.vehicle), str(chosen.sensors)
-    drive = DriveFile(part.name, label, measured, vehicle, car, sensors, True, chosen)
+    chosen = chosen.updated(at=chosen.at or DEFAULT_PLACE)
+    chosen = replace(chosen, sensors=chosen.instruments)
+    measured, own = recording_to_record(part, chosen, car), (str(chosen.vehicle), car)
+    drive = DriveFile(part.name, label, measured, *own, chosen.instruments, True, chosen)
     return drive.with_notes(*notes)
 
 
@@ -144,9 +136,9 @@ def _read_table(path: Path, table: Any, chosen: DriveDescription) -> DriveFile:
         measured = to_measured_record(table, car.wheelbase, chosen, car)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
-    sensors, said = chosen.instruments, "does not say which vehicle was driven"
-    drive = DriveFile(path.stem, path.name, measured, name, car, sensors, True, chosen)
-    return drive if chosen.vehicle else drive.with_notes(_assumed_vehicle(said))
+    drive = DriveFile(path.stem, path.name, measured, name, car, chosen.instruments, True, chosen)
+    note = _assumed_vehicle("does not say which vehicle was driven")
+    return drive if chosen.vehicle else drive.with_notes(note)
 
 
 def _read_record(
@@ -154,8 +146,8 @@ def _read_record(
 ) -> DriveFile:
     """Read a record of this package, which takes a vehicle and instruments only.
 
-    Without either, the vehicle is the one that the record says was simulated, if that is a shipped
-    one: a record may come from anybody, so no file is opened that it names.
+    Without a vehicle it is the one that the record says was simulated, if that is shipped: a record
+    may come from anybody, so no file is opened that it names.
     """
     needless = [key for key in given if key not in ("vehicle", "sensors")]
     if needless or is_described:
@@ -183,9 +175,8 @@ def _read_record(
             )
         record = replace(record, sensors=layout)
     check_modes(record, car)
-    measured, sensors = MeasuredRecord(record), chosen.sensors or DEFAULT_SENSORS
-    drive = DriveFile(path.stem, path.name, measured, name, car, sensors, False, chosen)
-    return drive.with_notes(*notes)
+    measured = MeasuredRecord(record, notes)
+    return DriveFile(path.stem, path.name, measured, name, car, chosen.instruments, False, chosen)
 
 
 def _assumed_vehicle(said: str) -> str:
@@ -194,13 +185,9 @@ def _assumed_vehicle(said: str) -> str:
 
 
 def read_passes(
-    paths: Sequence[Path],
-    description: Path | DriveDescription | None = None,
-    *,
-    track: Path | None = None,
-    **changes: Any,
+    paths: Sequence[Path], description: Path | DriveDescription | None = None, **options: Any
 ) -> list[DriveFile]:
-    """Read the drives in several files, or in folders of them. Raises ConfigError.
+    """Read the drives in several files, or in folders of them; see `read_drives` and its errors.
 
     Without a description for all, each is read by the one beside it with its own name and the
     suffix .yaml, if there is one; a note says so. Names that are equal are numbered.
@@ -211,9 +198,9 @@ def read_passes(
         own = path.with_suffix(".yaml") if path.name else path  # "/" has no name
         alone = len(paths) == 1 or description is not None or not own.exists()
         if alone or path == own or (path.is_file() and is_record(path)):
-            drives += read_drives(path, description, track=track, **changes)
+            drives += read_drives(path, description, **options)
             continue
-        found = read_drives(path, own, track=track, **changes)
+        found = read_drives(path, own, **options)
         drives += [drive.with_notes(f"read by the description {own.name}") for drive in found]
     names = [drive.name for drive in drives]
     return [

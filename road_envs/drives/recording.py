@@ -25,7 +25,6 @@ from road_envs.vehicle.struts import Modes
 from road_envs.vehicle.suspension import MODES, decode_commands, encode_command
 
 FORMAT = "roadrecon record 1"
-
 CHUNK = 20_000  # integrator steps that are simulated before their motion is sampled and discarded
 
 

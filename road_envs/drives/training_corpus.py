@@ -72,10 +72,7 @@ class Corpus(Settings):
 
     @property
     def digest(self) -> str:
-        """Digest of the settings, the vehicle, its deviations and the instruments.
-
-        Shipped weights name the corpus they were trained on by it.
-        """
+        """Digest of settings, vehicle, deviations and instruments, by which weights name it."""
         # field names enter the digest: a renamed field detaches the shipped weights
         settings = (self, self.vehicle, self.sensors, load_plant_mismatch())
         parts = [dataclasses.asdict(x) for x in settings]
@@ -134,19 +131,17 @@ def drives_in_mode(
 ) -> list[tuple[Record, Profile]]:
     """Simulate `number` drives in one `mode` over roads of 100 m, each by an individual of `grade`.
 
-    The roads are those of a corpus, the speeds are log-uniform. Raises SimulationError if too many
-    drives fail.
+    Roads as of a corpus, speeds log-uniform. Raises SimulationError if too many drives fail.
     """
     drives: list[tuple[Record, Profile]] = []
-    shared: Any = {"vehicle": corpus.vehicle, "instruments": corpus.sensors, "mode": mode}
-    shared["grade"] = grade
+    shared: Any = {"vehicle": corpus.vehicle, "instruments": corpus.sensors, "grade": grade}
     for k in itertools.count():
         # the attempt number ATTEMPTS keeps this stream apart from that of `simulate_drive`
         rng = np.random.default_rng([SEED_STREAM, corpus.seed, k, ATTEMPTS])
         speed = float(np.exp(rng.uniform(*np.log(speeds_kmh))))
         road = _draw_road(rng, 100.0).realise(rng)
         try:
-            drives.append(simulate_record(road, speed_kmh=speed, seed=k, **shared))
+            drives.append(simulate_record(road, speed_kmh=speed, seed=k, mode=mode, **shared))
         except SimulationError:
             if k >= ATTEMPTS * number:
                 raise
@@ -217,10 +212,7 @@ def _draw_modes(rng: np.random.Generator) -> tuple[str, str]:
 def _perturb_parameters(
     car: VehicleParameters, rng: np.random.Generator, deviation_scale: float
 ) -> VehicleParameters:
-    """Return a randomly perturbed vehicle.
-
-    With `deviation_scale` 1 the standard deviations are 6 to 15 % [assumed].
-    """
+    """Return a perturbed vehicle; the standard deviations are 6 to 15 % of the scale [assumed]."""
 
     def factor(std: float) -> float:
         return float(np.clip(1.0 + deviation_scale * std * rng.standard_normal(), 0.6, 1.4))

@@ -11,9 +11,8 @@ So PATCHES replace three groups of terms in its source, and nothing else:
 - struts are at the distance of the vehicle file, which differs from the wheels' on a solid axle
 
 Two of its tyre's numbers are 0 here, p_hy1 and p_vy1 (ply steer and conicity): the package gives
-them the sign of the camber, and that jump of 110 N makes a car roll on a level road.
-Struts are linear here: `as_driven` returns the vehicle that this plant has, for those who are told
-it.
+them the sign of the camber, and that jump of 110 N makes a car roll on a level road. Struts are
+linear: `as_driven` returns the vehicle that this plant has, for those who are told it.
 """
 
 import inspect
@@ -46,7 +45,6 @@ PATCHES = (
 """Regular expressions, what stands in their place, and how often."""
 
 _MAX_STEP = 1e-3  # greatest step [s] of a drive
-
 DAMPING_RATE = 0.1  # rate [m/s] within which the linear dampers have the slope of the file's
 
 CORNERING, RELAXATION = 21.92, 0.05
@@ -56,8 +54,7 @@ relaxation, for which the least length [m] of `SideMotion` stands."""
 JOINT_STIFFNESS, JOINT_DAMPING = 175_186.659, 10_215.732
 """Stiffness [N/m] and damping [N s/m] of the joints of an axle, K_ras and K_rad of all its cars."""
 
-TEMPLATES = {"bmw_320i": 2, "volkswagen_vanagon": 3}
-"""Cars of the package; all others have the tyres and joints of the BMW."""
+TEMPLATES = {"bmw_320i": 2, "volkswagen_vanagon": 3}  # others have tyres and joints of the BMW
 
 
 def as_driven(car: VehicleParameters) -> VehicleParameters:
@@ -71,26 +68,19 @@ def as_driven(car: VehicleParameters) -> VehicleParameters:
     none = Curve(x=(-1.0, 1.0), F=(0.0, 0.0))
 
     def linear(strut: PassiveStrut, load: float) -> PassiveStrut:
-        damper = strut.at_wheel(strut.damper)
-        F, _ = damper(np.array([-DAMPING_RATE, DAMPING_RATE]))
+        F, _ = strut.at_wheel(strut.damper)(np.array([-DAMPING_RATE, DAMPING_RATE]))
         c = float(F[1] - F[0]) / (2.0 * DAMPING_RATE)
         k = -float(strut.spring_force(np.zeros(1), load)[1][0])
-        return PassiveStrut(
-            spring=CoilSpring(k=k),
-            damper=Curve(x=(-3.0, 3.0), F=(-3.0 * c, 3.0 * c)),
-            friction=none,
-            bump_stop=none,
-        )
+        damper = Curve(x=(-3.0, 3.0), F=(-3.0 * c, 3.0 * c))
+        return PassiveStrut(spring=CoilSpring(k=k), damper=damper, friction=none, bump_stop=none)
 
-    front, rear = (
-        linear(strut, load)
-        for strut, load in zip((car.strut.front, car.strut.rear), car.strut_loads, strict=True)
-    )
+    struts, loads = (car.strut.front, car.strut.rear), car.strut_loads
+    front, rear = map(linear, struts, loads)
     axles = {end: replace(getattr(car, end), c_t=0.0) for end in ("front", "rear")}
-    side = None
-    if car.side is not None:
+    side = car.side
+    if side is not None:
         side = replace(
-            car.side,
+            side,
             swing_arm=(car.front.y_t, car.rear.y_t),
             fore_and_aft=False,
             C_alpha=(CORNERING * car.tyre_loads[0], CORNERING * car.tyre_loads[1]),
@@ -141,9 +131,8 @@ class CommonRoadCar:
         self.rows = np.array([(-1.0, at.y, at.x) for at in locations])
 
     def _rate(self, y: np.ndarray, z: Sequence[float]) -> np.ndarray:
-        p = self.p
-        p.z_LF, p.z_RF, p.z_LR, p.z_RR = z
-        return np.array(self.rate(y.tolist(), (0.0, 0.0), p))
+        self.p.z_LF, self.p.z_RF, self.p.z_LR, self.p.z_RR = z
+        return np.array(self.rate(y.tolist(), (0.0, 0.0), self.p))
 
     def drive(
         self, surface: Surface, begin: float, speed: float, duration: float, sample: float

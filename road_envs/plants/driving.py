@@ -18,8 +18,6 @@ from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.vehicle.parameters import NOMINAL, VehicleParameters, load_vehicle
 
 PLANTS: dict[str, Callable[..., Any]] = {"mujoco": MujocoCar, "commonroad": CommonRoadCar}
-"""Cars of other projects, by name."""
-
 RUN_IN = 5.0  # level road [m] before and behind the surface, on which a drive begins and ends
 MAX_SPEED_KMH = 150.0  # greatest speed of a drive [km/h]
 _NOISE = 0  # random stream of the noise
@@ -53,16 +51,14 @@ def simulate_on_plant(
     step, v = 1.0 / instruments.fs, speed_kmh / 3.6
     noise = np.random.SeedSequence(seed, spawn_key=(_NOISE,))  # the road has the numbers of `seed`
     logger = DataLogger(instruments, car, step, np.random.default_rng(noise))
-    driven = surface
-    if (contact := car.variation.contact_length) > 0.0:
-        driven = enveloped(surface, contact)
+    contact = car.variation.contact_length
+    driven = enveloped(surface, contact) if contact > 0.0 else surface
     duration = (surface.end + car.wheelbase + 2.0 * RUN_IN) / v
     motion = PLANTS[plant](car, logger.locations).drive(driven, -RUN_IN, v, duration, step)
     a = logger.digitise(motion)
     t = step * np.arange(a.shape[1])
     s = logger.odometer(v * t) - RUN_IN
-    settings = np.zeros((t.size, 4), dtype=bool)
-    speed = np.full(t.size, logger.speed_gain * v)
+    settings, speed = np.zeros((t.size, 4), dtype=bool), np.full(t.size, logger.speed_gain * v)
     record = Record(t, a, speed, s, settings, settings, surface.length, instruments.layout)
     stations = profile_stations(surface.length)
     return record, Profile(stations, surface.height(stations))

@@ -35,7 +35,6 @@ FRICTION = 0.9  # greatest side force of a tyre over its load [-]
 SETTLING = 1.0  # time [s] at rest before a drive begins
 DRAG = 1e-9  # rotary inertia [kg m²] about axes that do not matter, since MuJoCo needs one
 
-
 StrutLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Law of the struts FL, FR, RL, RR: extensions (4,) [m] and their rates [m/s] to forces (4,) [N]
 that push the body up."""
@@ -101,12 +100,10 @@ class MujocoCar:
         self.side_force -= STEP / self.sigma * (v * self.side_force + stiffness * slip)
         self.side_force = np.clip(self.side_force, -FRICTION * load, FRICTION * load)
         # forces at the contacts, and their moments about the bodies' centres of mass
-        arm = data.site_xpos[self.contacts] - data.xipos[self.bodies]
-        x, y, z = arm.T
-        zero = np.zeros(4)
+        x, y, z = (data.site_xpos[self.contacts] - data.xipos[self.bodies]).T
         moments = y * load - z * self.side_force, -x * load, x * self.side_force
         data.xfrc_applied[:] = 0.0
-        wrench = np.array([zero, self.side_force, load, *moments]).T
+        wrench = np.array([np.zeros(4), self.side_force, load, *moments]).T
         np.add.at(data.xfrc_applied, self.bodies, wrench)
         self.mujoco.mj_step2(model, data)
 
@@ -117,14 +114,11 @@ class MujocoCar:
 
         Front axle at `begin` [m], constant `speed` [m/s].
         """
-        every = round(sample / STEP)
-        n = round(duration / sample)
-        stations = begin + speed * STEP * np.arange(n * every)
-        axles = stations, stations - self.car.wheelbase
-        z, slope = (
-            np.concatenate([of(s) for s in axles]).T for of in (surface.height, surface.slope)
-        )
-        rest = np.zeros(4)
+        every, n = round(sample / STEP), round(duration / sample)
+        front = begin + speed * STEP * np.arange(n * every)
+        rear, rest = front - self.car.wheelbase, np.zeros(4)
+        z = np.concatenate([surface.height(front), surface.height(rear)]).T
+        slope = np.concatenate([surface.slope(front), surface.slope(rear)]).T
         for _ in range(round(SETTLING / STEP)):
             self.step(z[0], rest, 0.0)
         found = np.empty((n, self.model.nsensordata - 12))
@@ -167,8 +161,7 @@ def _interpolate(curve: Any, x: np.ndarray) -> np.ndarray:
 
 def _describe(car: VehicleParameters, side: SideMotion, locations: Sequence[SensorLocation]) -> str:
     """Return the car as a MuJoCo model; at rest its bodies are where the file says."""
-    bodies, tendons, bars, actuators = [], [], [], []
-    tops = ""
+    bodies, tendons, bars, tops = [], [], [], ""
     for i, axle in enumerate(car.axles):
         wheels = _swinging if isinstance(axle, IndependentWheels) else _solid
         bodies.append(wheels(i, axle, car.h_cg, side))
@@ -178,7 +171,6 @@ def _describe(car: VehicleParameters, side: SideMotion, locations: Sequence[Sens
             tendons.append(
                 f'<spatial name="strut{w}"><site site="bottom{w}"/><site site="top{w}"/></spatial>'
             )
-            actuators.append(f'<motor tendon="strut{w}"/>')
         if isinstance(axle, IndependentWheels) and axle.k_roll > 0.0:
             # the bar feels the difference of the wheels' travel, an arm times the angles'
             rate = axle.k_roll / (2.0 * axle.y_t) ** 2
@@ -189,6 +181,7 @@ def _describe(car: VehicleParameters, side: SideMotion, locations: Sequence[Sens
             )
     for k, (x, y, _) in enumerate(locations):
         tops += f'<site name="sensor{k}" pos="{x} {y} 0"/>'
+    motors = "".join(f'<motor tendon="strut{w}"/>' for w in range(4))
     velocities = "".join(f'<framelinvel objtype="site" objname="contact{w}"/>' for w in range(4))
     accelerometers = "".join(f'<accelerometer site="sensor{k}"/>' for k in range(len(locations)))
     return f"""<mujoco><compiler angle="radian" autolimits="true" boundmass="0"/>
@@ -198,7 +191,7 @@ def _describe(car: VehicleParameters, side: SideMotion, locations: Sequence[Sens
     <joint axis="0 0 1"/><joint axis="0 1 0"/><joint axis="1 0 0"/>
     <inertial pos="0 0 0" mass="{car.m_b}" diaginertia="{car.I_xx} {car.I_yy} {side.I_zz}"/>
     {tops}{"".join(bodies)}</body></worldbody>
-    <tendon>{"".join(tendons + bars)}</tendon><actuator>{"".join(actuators)}</actuator>
+    <tendon>{"".join(tendons + bars)}</tendon><actuator>{motors}</actuator>
     <sensor>{velocities}{accelerometers}</sensor></mujoco>"""
 
 

@@ -20,8 +20,8 @@ from road_envs.vehicle.parameters import VehicleParameters
 class DataLogger:
     """Instruments and logger of one drive, with the filter state and the noise generator.
 
-    `step` [s] is the integrator step; a sample is taken every `decimation` = 1 / (fs step) steps.
-    Raises ConfigError if that is not a whole number.
+    A sample is taken every 1 / (fs step) steps of the integrator of `step` [s]. Raises ConfigError
+    if that is not a whole number.
     """
 
     def __init__(
@@ -52,8 +52,7 @@ class DataLogger:
             self.sampler = JitteredSampler(self.decimation, step, faults, k)
         self.sos = butterworth_sos(ANTIALIAS_ORDER, instruments.f_alias, 1.0 / step)
         self.filter_state = np.zeros((self.sos.shape[0], k, 2))
-        self.n_steps = 0
-        self.rng = rng
+        self.n_steps, self.rng = 0, rng
         self.position_rng = rng.spawn(1)[0] if faults.position_noise > 0.0 else None
         self.speed_gain = 1.0 + instruments.speed_error * rng.standard_normal()
         self.speed_gain *= 1.0 + faults.speed
@@ -66,10 +65,8 @@ class DataLogger:
         a = np.array([trajectory.vertical_acceleration(*location) for location in self.locations])
         if self.bending is not None:
             rates = trajectory.acceleration
-            q = self.bending.advance(rates[:, Z_B], rates[:, THETA])
-            a += np.array(
-                [shape(self.bending.mode, at.x) * (at.axle is None) * q for at in self.locations]
-            )
+            q, mode = self.bending.advance(rates[:, Z_B], rates[:, THETA]), self.bending.mode
+            a += np.array([shape(mode, at.x) * (at.axle is None) * q for at in self.locations])
         return self.digitise(a)
 
     def digitise(self, a: np.ndarray) -> np.ndarray:
@@ -88,9 +85,7 @@ class DataLogger:
         return samples
 
     def odometer(self, distance: np.ndarray) -> np.ndarray:
-        """Return the odometer reading after a true `distance` (N,) [m] at each sample, which grows
-        from 0.
-        """
+        """Return the odometer reading after a true `distance` (N,) [m], from 0 on, at samples."""
         length = self.faults.position_fix_length
         if np.isinf(length):
             return self.speed_gain * distance
@@ -101,8 +96,8 @@ class DataLogger:
         """Return the error (N,) [m] of an odometer without a speed error that follows the fixes."""
         faults, rng = self.faults, self.position_rng
         assert rng is not None
-        wander = (faults.position_noise, faults.position_correlation_time)
-        g = gauss_markov(*wander, 1.0 / self.fs, distance.size, rng)
+        wander = faults.position_noise, faults.position_correlation_time, 1.0 / self.fs
+        g = gauss_markov(*wander, distance.size, rng)
         shares = -np.expm1(-np.diff(distance) / faults.position_fix_length)
         error, last = g.copy(), float(g[0])
         for k, (share, mean) in enumerate(zip(shares, 0.5 * (g[1:] + g[:-1]), strict=True), 1):

@@ -21,10 +21,7 @@ ANTIALIAS_ORDER = 4  # order of the Butterworth filter before the sampler [assum
 
 
 class SensorLocation(NamedTuple):
-    """Location (`x`, `y`) [m] ahead and left of the centre of mass, of the body or of an `axle`.
-
-    `axle` is 0 for the front axle, 1 for the rear one and None for the body.
-    """
+    """Place [m] ahead and left of the centre of mass: on the body, front (0) or rear axle (1)."""
 
     x: float
     y: float
@@ -86,8 +83,7 @@ class Instruments(Settings):
     def response(self, f: np.ndarray) -> np.ndarray:
         """Return the complex response [-] of the anti-alias filter at `f` [Hz], any shape.
 
-        It is that of the analogue Butterworth filter, which delays slow signals by
-        2.613 / (2 pi f_alias).
+        It is the analogue Butterworth filter, which delays slow signals by 2.613 / (2 pi f_alias).
         """
         s = 1j * np.asarray(f, dtype=float) / self.f_alias
         k = np.arange(1, ANTIALIAS_ORDER + 1)
@@ -116,7 +112,7 @@ def load_instruments(name: str | Path) -> Instruments:
 def instruments_of(record: Record, name: str | Path) -> Instruments:
     """Load instruments, with the accelerometers of `record` where it has them.
 
-    Raises ConfigError, also if the number of accelerometers is not that of the record.
+    Raises ConfigError, also if their number is not that of the record.
     """
     instruments = load_instruments(name)
     if record.sensors is not None:

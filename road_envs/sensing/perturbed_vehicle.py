@@ -28,33 +28,12 @@ from typing import Annotated, Any
 import numpy as np
 
 from road_envs.core import config
-from road_envs.core.config import (
-    ConfigError,
-    Fraction,
-    NonNegative,
-    Positive,
-    Settings,
-    SmallestFirst,
-)
-from road_envs.sensing.sensor_faults import (
-    NO_FAULTS,
-    CorrelationTime,
-    DropoutLength,
-    DropoutRate,
-    Jitter,
-    PerSensor,
-    PositionFixLength,
-    SensorFaults,
-)
+from road_envs.core.config import Fraction, NonNegative, Positive, Settings, SmallestFirst
+from road_envs.sensing import sensor_faults
+from road_envs.sensing.sensor_faults import NO_FAULTS, PerSensor, SensorFaults
 from road_envs.vehicle.axles import IndependentWheels, SideMotion
 from road_envs.vehicle.equations import Plant, build_plant
-from road_envs.vehicle.parameters import (
-    BendingMode,
-    PerWheel,
-    Step,
-    TorsionalFrame,
-    VehicleParameters,
-)
+from road_envs.vehicle.parameters import BendingMode, Step, TorsionalFrame, VehicleParameters
 from road_envs.vehicle.suspension import WHEELS
 from road_envs.vehicle.tolerances import scale_parameters
 
@@ -62,12 +41,11 @@ GRADES = ("S0", "S1", "S2", "S3", "S4")
 
 Range = Annotated[tuple[Fraction, Fraction], SmallestFirst]
 PositiveRange = Annotated[tuple[Positive, Positive], SmallestFirst]
+
 MANUFACTURE_LEVEL, STRUCTURE_LEVEL, INSTRUMENT_LEVEL, SIDE_LEVEL = 1, 2, 3, 4
 """Index of the grade that adds each group of deviations, and second key of its random stream."""
 
-POSITION_NOISE_KEY = 5
-"""Second key of the random stream of the position noise, which no grade adds by itself."""
-
+POSITION_NOISE_KEY = 5  # that of the position noise, which no grade adds by itself
 PERTURBATION_STREAM = 9
 """First key of the random streams of a perturbed vehicle. Sensor noise is drawn from the seed
 itself, so that it is the same under every grade."""
@@ -75,10 +53,7 @@ itself, so that it is the same under every grade."""
 
 @dataclass(frozen=True, kw_only=True)
 class _ManufacturingTolerances(Settings):
-    """Relative deviations of one vehicle from its parameters.
-
-    A pair is the smallest and the largest magnitude, of either sign; a number is the largest.
-    """
+    """Relative deviations of either sign: smallest and largest magnitude, or the largest alone."""
 
     mass: Annotated[Range, "", "of the body and of each axle"]
     inertia: Annotated[Range, "", "of the same"]
@@ -131,21 +106,18 @@ class _UnmodelledStructure(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class SensorFaultLimits(Settings):
-    """Largest magnitudes of the sensor faults; from `position_fix_length` on the values themselves.
-
-    `position_noise` is the range of one receiver's, of drives that ask for it.
-    """
+    """Largest magnitudes of faults; from `position_fix_length` on values, range of that noise."""
 
     place: Annotated[NonNegative, "m", "position of each accelerometer, in x and in y"]
     tilt: Annotated[NonNegative, "rad", "of its axis from the vertical"]
     gain: Annotated[Fraction, "", "relative error of its sensitivity"]
     offset: Annotated[NonNegative, "m/s²", "of its reading"]
     speed: Annotated[Fraction, "", "relative error of the speed signal, constant over a drive"]
-    position_fix_length: PositionFixLength
-    jitter: Jitter
-    dropout_rate: DropoutRate
-    dropout_length: DropoutLength
-    position_correlation_time: CorrelationTime = 30.0
+    position_fix_length: sensor_faults.PositionFixLength
+    jitter: sensor_faults.Jitter
+    dropout_rate: sensor_faults.DropoutRate
+    dropout_length: sensor_faults.DropoutLength
+    position_correlation_time: sensor_faults.CorrelationTime = 30.0
     position_noise: Annotated[PositiveRange, "m", "standard deviation of the fixes"] = (1.0, 3.0)
 
 
@@ -178,10 +150,7 @@ class PlantMismatch(Settings):
 
 @dataclass(frozen=True)
 class PerturbedVehicle:
-    """One perturbed vehicle: parameters with their variation, and sensor faults.
-
-    `step` [s]: longest step of the integrator.
-    """
+    """One perturbed vehicle: parameters, sensor faults, longest `step` [s] of the integrator."""
 
     car: VehicleParameters
     faults: SensorFaults = NO_FAULTS
@@ -209,12 +178,13 @@ def perturb_vehicle(
     """Draw the perturbed vehicle of a `seed`, with the deviations up to `grade`.
 
     All grades of one seed share their random draws. `plant_mismatch`: magnitudes, by default the
-    shipped "assumed" ones. `accelerometers`: their number. `position_noise`: the position fixes,
+    shipped "assumed" ones; `accelerometers`: their number; `position_noise`: the position fixes,
     which grades have from S3 on, wander. Raises ConfigError.
     """
     level = GRADES.index(config.validate_choice("grade", grade, list(GRADES)))
     if position_noise and level < INSTRUMENT_LEVEL:
-        raise ConfigError(f"position noise needs the position fixes of grade S3 or S4, got {grade}")
+        needed = "the position fixes of grade S3 or S4"
+        raise config.ConfigError(f"position noise needs {needed}, got {grade}")
     if level == 0:
         return PerturbedVehicle(car)
     mismatch = load_plant_mismatch() if plant_mismatch is None else plant_mismatch
@@ -238,10 +208,9 @@ def perturb_vehicle(
     return PerturbedVehicle(car, faults, mismatch.step)
 
 
-def _four_factors(rng: np.random.Generator, most: float) -> PerWheel:
+def _four_factors(rng: np.random.Generator, most: float) -> Any:
     """Draw factors between 1 - `most` and 1 + `most`."""
-    a, b, c, d = (1.0 + rng.uniform(-most, most, 4)).tolist()
-    return a, b, c, d
+    return tuple((1.0 + rng.uniform(-most, most, 4)).tolist())
 
 
 def _with_tolerances(
@@ -271,18 +240,13 @@ def _with_tolerances(
 def _with_structure(
     car: VehicleParameters, limits: _UnmodelledStructure, rng: np.random.Generator
 ) -> VehicleParameters:
-    variation = replace(
-        car.variation,
-        tyre=_four_factors(rng, limits.tyre_pressure * limits.tyre_pressure_effect),
-        tyre_progression=limits.tyre_progression,
-        roll_stiffness=limits.roll_stiffness,
-        contact_length=limits.contact_length,
-        frame=None if limits.frame is None else TorsionalFrame(**_draw_mode(rng, limits.frame)),
-        bending=None
-        if (b := limits.bending) is None
-        else BendingMode(**_draw_mode(rng, b), length=b.length),
-    )
-    return replace(car, variation=variation)
+    same = ("tyre_progression", "roll_stiffness", "contact_length")
+    tyre = _four_factors(rng, limits.tyre_pressure * limits.tyre_pressure_effect)
+    drawn: dict[str, Any] = {name: getattr(limits, name) for name in same} | {"tyre": tyre}
+    drawn["frame"] = limits.frame and TorsionalFrame(**_draw_mode(rng, limits.frame))
+    bending = limits.bending
+    drawn["bending"] = bending and BendingMode(**_draw_mode(rng, bending), length=bending.length)
+    return replace(car, variation=replace(car.variation, **drawn))
 
 
 def _with_side_motion(

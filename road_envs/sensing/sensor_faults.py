@@ -104,8 +104,7 @@ class JitteredSampler:
         self.dropout_probability = rate / (self.dropout_length * (1.0 - rate))
         streams = np.random.SeedSequence(faults.seed).spawn(2)
         self.jitter_rng, self.dropout_rng = map(np.random.default_rng, streams)
-        # remaining samples of the current dropout; 0 directly after one, -1 otherwise
-        self.dropout_left = -1
+        self.dropout_left = -1  # samples of the current dropout; 0 directly after one, else -1
         self.buffer = np.zeros((k, 0))
         self.buffer_start = self.n_samples = 0
 
@@ -142,15 +141,13 @@ class JitteredSampler:
     def _draw_dropouts(self, n: int) -> np.ndarray:
         """Return whether each of the next n samples (n,) is lost.
 
-        All dropout lengths from 1 to 2 dropout_length - 1 are equally likely, and at least one
-        sample is between two dropouts.
+        All lengths from 1 to 2 dropout_length - 1 are equally likely; a sample parts two dropouts.
         """
         drawn, lost = self.dropout_rng.random(n), np.zeros(n, dtype=bool)
         for i in range(n if self.dropout_probability > 0.0 else 0):
             if self.dropout_left < 0 and drawn[i] < self.dropout_probability:
-                self.dropout_left = 1 + int(
-                    drawn[i] / self.dropout_probability * (2 * self.dropout_length - 1)
-                )
+                share = drawn[i] / self.dropout_probability
+                self.dropout_left = 1 + int(share * (2 * self.dropout_length - 1))
             lost[i] = self.dropout_left > 0
             self.dropout_left = max(self.dropout_left - 1, -1)
         return lost

@@ -68,11 +68,6 @@ class Trajectory:
         """Twist of the frame (N, 3): angle [rad], rate and acceleration; (N, 0) if it is rigid."""
         return self.signals[:, rosenbrock.TWIST : rosenbrock.N_FLEXIBLE_SIGNALS]
 
-    @property
-    def side(self) -> np.ndarray:
-        """Side motion (N, 12), as from `rosenbrock.SIDE` on; (N, 0) of a vehicle without."""
-        return self.signals[:, rosenbrock.SIDE :]
-
     def vertical_acceleration(self, x: float, y: float, axle: int | None = None) -> np.ndarray:
         """Return the vertical acceleration (N,) [m/s²] of a point at (x, y) [m].
 

@@ -12,16 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from road_envs.kernels import simd
 from road_envs.kernels._numba import kernel
-from road_envs.kernels.simd import (
-    LANES,
-    any_positive,
-    equals_one,
-    if_positive,
-    integer_part,
-    maximum,
-    minimum,
-)
+from road_envs.kernels.simd import LANES, if_positive
 from road_envs.kernels.simd_arrays import get, load_four, put
 from road_envs.roads.surface import PAD, catmull_rom
 from road_envs.simulation.lanes import aligned_zeros, update_lane_valves
@@ -71,8 +64,8 @@ def _sample_roads(p, roads, s, speed, road, at):
     front = (get(s) - get(roads.start)) * per_ds + PAD
     last = get(roads.size) - 3.0
     for i in range(2):
-        u = minimum(maximum(front - (get(p.x, 0) - get(p.x, i)) * per_ds, 1.0), last)
-        j = integer_part(u)
+        u = simd.minimum(simd.maximum(front - (get(p.x, 0) - get(p.x, i)) * per_ds, 1.0), last)
+        j = simd.integer_part(u)
         for side in range(2):
             a, b, c, d = load_four(roads.heights, get(roads.first, side) - 1.0, 1, j)
             z, slope = catmull_rom(a, b, c, d, u - j, per_ds)
@@ -103,9 +96,9 @@ def delay_commands(delay_line, delay, commands, delayed_commands):
 
 @kernel(inline=False, count_references=False)
 def front_axle_stations(start, v, done, h, s, speed):
-    """Write stations `s` [m] and speeds `speed` [m/s] (M, LANES) at M half steps.
+    """Write stations `s` [m] and `speed` [m/s] (M, LANES) at M half steps behind those `done`.
 
-    The vehicles have driven `done` (LANES,) steps from station `start` [m] at speed `v` [m/s].
+    The vehicles began at station `start` [m] (LANES,), at the speed `v` [m/s].
     """
     for i in range(s.shape[0]):
         put(s, i, get(start) + 0.5 * h * (2.0 * get(done) + i) * get(v))
@@ -158,7 +151,7 @@ def take_step(lanes, roads, inputs, n, scratch, signals, flexible, side):
     put(scratch.front, 1, get(road, 1))
     # valves rarely move: skip those that have settled under an unchanged command
     change = get(inputs.commands, n) - get(valves, 1)
-    if any_positive(get(valves, 0) + change * change):
+    if simd.any_positive(get(valves, 0) + change * change):
         for k in range(LANES):
             byte, own = inputs.commands[n, k], lanes.constants[k : k + 1]
             if valves[0, k] > 0.0 or byte != valves[1, k]:
@@ -167,7 +160,7 @@ def take_step(lanes, roads, inputs, n, scratch, signals, flexible, side):
     # 0: the whole step, of all lanes unless each is on a steep road; then the parts, of those
     begin, end = 0, 1
     if mark_steep(road, steep):
-        begin, end = 1 if equals_one(get(steep, 0)) else 0, 1 + SUBSTEPS
+        begin, end = 1 if simd.equals_one(get(steep, 0)) else 0, 1 + SUBSTEPS
         put(steep, 1, 0.0)
         _copy_lanes(motion, before, steep[1])
     for i in range(begin, end):

@@ -14,17 +14,8 @@ import numpy as np
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd import LANES, broadcast
 from road_envs.kernels.simd_arrays import get, put, stack_rows
-from road_envs.simulation.rosenbrock import (
-    ACCELERATION,
-    N_SIDE_SIGNALS,
-    SIDE_ACCELERATION,
-    TWIST,
-    WORKSPACE_ROWS,
-    StepInputs,
-    any_step,
-    step_workspace,
-    update_valves,
-)
+from road_envs.simulation import rosenbrock
+from road_envs.simulation.rosenbrock import N_SIDE_SIGNALS, WORKSPACE_ROWS, StepInputs
 from road_envs.vehicle.equations import N_DOF, PLANT_DTYPE, Motion, Plant
 from road_envs.vehicle.side_motion import side_size
 from road_envs.vehicle.suspension import VehicleBuffers
@@ -52,8 +43,7 @@ def aligned_copy(array: np.ndarray) -> np.ndarray:
 def transpose_constants(constants: np.ndarray) -> np.ndarray:
     """Return the constants (LANES,) of LANES vehicles as one record (1,), lanes last in each field.
 
-    Compiled code needs one address for a record; 30 arrays would need 30, more than there are
-    registers.
+    A record needs one address; 30 arrays would need 30, more than there are registers.
     """
     p = aligned_zeros(_LANE_CONSTANTS.itemsize // (8 * LANES)).reshape(-1).view(_LANE_CONSTANTS)
     for name in PLANT_DTYPE.names or ():
@@ -65,7 +55,7 @@ def transpose_constants(constants: np.ndarray) -> np.ndarray:
 def update_lane_valves(constants, strut_state, q, k, byte, alpha, h):
     """Advance the valves of lane `k`, vehicle `constants` (1,); return whether all are settled."""
     # the valve law is written for the arrays of one vehicle
-    return update_valves(constants[0], strut_state[:, :, k], q[:, k], byte, alpha, h)
+    return rosenbrock.update_valves(constants[0], strut_state[:, :, k], q[:, k], byte, alpha, h)
 
 
 class LaneBuffers(NamedTuple):
@@ -120,20 +110,15 @@ def lane_buffers(
 
 @kernel(inline=False, count_references=False)
 def _integrate_on_road(lanes, road, speed, commands, h, out, flexible=None, side=None):
-    """Integrate LaneBuffers over the same `road` (N, 16), as in `rosenbrock.StepInputs`.
+    """Integrate LaneBuffers over one `road` (N, 16) of StepInputs, at the `speed` (N,) [m/s].
 
-    `speed` (N,) [m/s]; `commands` (N,): bytes that reach the valves. The accelerations of the
-    coordinates go to `out` (N, 7, LANES), (8, LANES) of `flexible` vehicles, with those of `side`
-    motion behind.
+    `commands` (N,) reach the valves. The accelerations go to `out` (N, 7, LANES), (N, 8, LANES) of
+    `flexible` vehicles, with those of `side` motion behind.
     """
-    q = lanes.q
-    vehicle = VehicleBuffers(
-        lanes.lane_constants, lanes.velocity, lanes.displacement, lanes.strut_state
-    )
-    motion = Motion(q, lanes.v)
-    work, inputs = step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16)
-    row = stack_rows(N_SIDE_SIGNALS)
-    no_manoeuvre = stack_rows(4)
+    q, strut_state, motion = lanes.q, lanes.strut_state, Motion(lanes.q, lanes.v)
+    vehicle = VehicleBuffers(lanes.lane_constants, lanes.velocity, lanes.displacement, strut_state)
+    work, inputs = rosenbrock.step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16)
+    row, no_manoeuvre = stack_rows(N_SIDE_SIGNALS), stack_rows(4)
     for j in range(4):
         put(no_manoeuvre, j, 0.0)
     settled = False
@@ -144,17 +129,18 @@ def _integrate_on_road(lanes, road, speed, commands, h, out, flexible=None, side
             settled = True
             for k in range(LANES):
                 own, alpha = lanes.constants[k : k + 1], lanes.alpha[k]
-                here = update_lane_valves(own, lanes.strut_state, q, k, commands[n], alpha, h)
+                here = update_lane_valves(own, strut_state, q, k, commands[n], alpha, h)
                 settled = settled and here
         step_inputs = StepInputs(inputs, no_manoeuvre, h, speed[n])
-        any_step(vehicle, motion, step_inputs, work, row, flexible, side)
+        rosenbrock.any_step(vehicle, motion, step_inputs, work, row, flexible, side)
         if flexible is not None:
-            put(out[n], N_DOF, get(row, TWIST + 2))
+            put(out[n], N_DOF, get(row, rosenbrock.TWIST + 2))
         if side is not None:
             for j in range(side_size(q)):
-                put(out[n], q.shape[0] - side_size(q) + j, get(row, SIDE_ACCELERATION + j))
+                rate = get(row, rosenbrock.SIDE_ACCELERATION + j)
+                put(out[n], q.shape[0] - side_size(q) + j, rate)
         for j in range(N_DOF):
-            put(out[n], j, get(row, ACCELERATION + j))
+            put(out[n], j, get(row, rosenbrock.ACCELERATION + j))
 
 
 class SharedInputs(NamedTuple):

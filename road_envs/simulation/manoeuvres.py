@@ -10,15 +10,8 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 from pydantic import Field
 
-from road_envs.core.config import (
-    ConfigError,
-    Finite,
-    NonNegative,
-    Positive,
-    Settings,
-    build,
-    validate_choice,
-)
+from road_envs.core import config
+from road_envs.core.config import Finite, NonNegative, Positive, Settings
 
 
 class Manoeuvre(Protocol):
@@ -92,9 +85,7 @@ class Fishhook(Settings):
 
     a_y: Annotated[Finite, "m/s²", "lateral acceleration of the first turn, less the second"] = 4.5
     begin: Annotated[Finite, "s", "time at which the first turn begins"] = 1.0
-    build_up: Annotated[Positive, "s", "duration of the first build-up; the reversal takes two"] = (
-        0.5
-    )
+    build_up: Annotated[Positive, "s", "duration of a build-up; the reversal takes two"] = 0.5
     dwell: Annotated[NonNegative, "s", "duration of the first turn"] = 0.25
     hold: Annotated[NonNegative, "s", "duration of the second turn"] = 3.0
 
@@ -158,8 +149,8 @@ def load_manoeuvre(source: str | dict[str, Any]) -> Manoeuvre:
     """Return a manoeuvre by kind, or from a mapping of `kind` and settings. Raises ConfigError."""
     settings = {"kind": source} if isinstance(source, str) else dict(source)
     if "kind" not in settings:
-        raise ConfigError(
+        raise config.ConfigError(
             f"a manoeuvre needs a key 'kind', one of {', '.join(KINDS)}; got {settings}"
         )
-    kind = validate_choice("manoeuvre", settings.pop("kind"), KINDS)
-    return build(KINDS[kind], settings, kind)
+    kind = config.validate_choice("manoeuvre", settings.pop("kind"), KINDS)
+    return config.build(KINDS[kind], settings, kind)

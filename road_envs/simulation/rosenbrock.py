@@ -17,6 +17,7 @@ where K = -df/dq, C = -df/dv. K and C are sums over struts and tyres, so product
 computed force by force. The matrix is never assembled (`block_elimination`).
 """
 
+from collections import namedtuple
 from typing import NamedTuple
 
 import numpy as np
@@ -26,35 +27,9 @@ from road_envs.kernels.simd_arrays import add, get, put, stack_array
 from road_envs.roads.surface import height_and_slope
 from road_envs.simulation.block_elimination import factorize, solve_factored
 from road_envs.simulation.substeps import SUBSTEPS, interpolate, is_steep
-from road_envs.vehicle.equations import (
-    N_DOF,
-    PHI,
-    THETA,
-    Motion,
-    Plant,
-    add_manoeuvre_moments,
-    add_struts,
-    add_tyres,
-    add_weight,
-    extension,
-    relative_roll,
-    roll_moments,
-    twist_extension,
-    twist_moment,
-    wheel_height,
-)
-from road_envs.vehicle.side_motion import (
-    add_rolls,
-    advance_side,
-    contact_speeds,
-    load_shares,
-    put_side,
-    rolls,
-    side_increments,
-    side_middle,
-    side_rates,
-    side_state,
-)
+from road_envs.vehicle import equations as eq
+from road_envs.vehicle import side_motion as sm
+from road_envs.vehicle.equations import N_DOF, PHI, THETA, Motion, Plant
 from road_envs.vehicle.suspension import advance_valve, strut_force, valves_settled
 from road_envs.vehicle.tyres import tyre_force
 
@@ -79,37 +54,15 @@ def n_signals(plant: Plant) -> int:
     return N_FLEXIBLE_SIGNALS if plant.flexible else N_SIGNALS
 
 
-class StepWorkspace(NamedTuple):
-    """Scratch of `step`: right-hand sides and stage values (7,), wheel values (4,), factors."""
+StepWorkspace = namedtuple("StepWorkspace", "f g r k_q q v F T dF dT k k_t s t blocks body")
+"""Scratch of `step`: right-hand sides and stage values (7,), wheel values (4,), factors."""
 
-    f: np.ndarray
-    g: np.ndarray
-    r: np.ndarray
-    k_q: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    F: np.ndarray
-    T: np.ndarray
-    dF: np.ndarray
-    dT: np.ndarray
-    k: np.ndarray
-    k_t: np.ndarray
-    s: np.ndarray
-    t: np.ndarray
-    blocks: np.ndarray
-    body: np.ndarray
-
-
-WORKSPACE_ROWS = 6 * N_DOF + 8 * 4 + 12 + 6
-"""Rows of the buffer behind a StepWorkspace."""
+WORKSPACE_ROWS = 6 * N_DOF + 8 * 4 + 12 + 6  # rows of the buffer behind a StepWorkspace
 
 
 @kernel
 def step_workspace(buffer):
-    """Return the StepWorkspace as views of a `buffer` (WORKSPACE_ROWS,) or (..., LANES).
-
-    It is fastest on the stack: `stack_array(WORKSPACE_ROWS)` or `stack_rows(WORKSPACE_ROWS)`.
-    """
+    """Return views of a `buffer` (WORKSPACE_ROWS,) or (..., LANES), fastest on the stack."""
     n, w = N_DOF, 6 * N_DOF
     return StepWorkspace(
         buffer[:n], buffer[n : 2 * n], buffer[2 * n : 3 * n],
@@ -137,23 +90,23 @@ class StepInputs(NamedTuple):
 @kernel
 def _stage_1_at_wheel(vehicle, motion, inputs, work, out, twist, w):
     """Write the forces of strut and tyre `w` at t, their stiffness and their part of h d df/dt."""
-    road, h = inputs.road, inputs.h
+    (q, v), road, h = motion, inputs.road, inputs.h
     hd, p = h * D, vehicle.constants[0]
-    (q, v), (F, T, dF, dT) = motion, (work.F, work.T, work.dF, work.dT)
-    e, rate = extension(p, q, w), extension(p, v, w)
+    e, rate = eq.extension(p, q, w), eq.extension(p, v, w)
     e_dot = rate
     if twist is not None:
-        e, e_dot = e + twist_extension(p, twist[0], w), e_dot + twist_extension(p, twist[1], w)
+        e = e + eq.twist_extension(p, twist[0], w)
+        e_dot = e_dot + eq.twist_extension(p, twist[1], w)
     force, k, c = strut_force(vehicle, w, e, e_dot)
-    u = get(road, w) - wheel_height(p, q, w)
-    u_dot = get(road, 4 + w) - wheel_height(p, v, w)
+    u = get(road, w) - eq.wheel_height(p, q, w)
+    u_dot = get(road, 4 + w) - eq.wheel_height(p, v, w)
     load, k_t, c_t = tyre_force(p, w, u, u_dot)
     # the road is known at t and t + h/2 only: its second derivative is a difference
     w_dot = (get(road, 12 + w) - get(road, 4 + w)) * (2.0 / h)
-    put(F, w, force)
-    put(T, w, load)
-    put(dF, w, -hd * k * rate)
-    put(dT, w, hd * (k_t * u_dot + c_t * w_dot))
+    put(work.F, w, force)
+    put(work.T, w, load)
+    put(work.dF, w, -hd * k * rate)
+    put(work.dT, w, hd * (k_t * u_dot + c_t * w_dot))
     put(work.k, w, k)
     put(work.k_t, w, k_t)
     put(work.s, w, hd * (c + hd * k))
@@ -164,20 +117,18 @@ def _stage_1_at_wheel(vehicle, motion, inputs, work, out, twist, w):
 
 @kernel
 def _stage_2_at_wheel(vehicle, inputs, work, twist, side, w):
-    """Write the forces of strut and tyre `w` in the right-hand side of stage 2; with side motion
-    the forces themselves as well, to `work.dF` and `work.dT`.
-    """
-    road, hd = inputs.road, inputs.h * D
-    p, r, F, T = vehicle.constants[0], work.r, work.F, work.T
-    e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
+    """Write the forces of strut and tyre `w` in stage 2; with side motion also to dF and dT."""
+    road, hd, p, r = inputs.road, inputs.h * D, vehicle.constants[0], work.r
+    e, e_dot = eq.extension(p, work.q, w), eq.extension(p, work.v, w)
     if twist is not None:
-        e, e_dot = e + twist_extension(p, twist[2], w), e_dot + twist_extension(p, twist[3], w)
+        e = e + eq.twist_extension(p, twist[2], w)
+        e_dot = e_dot + eq.twist_extension(p, twist[3], w)
     force, _, _ = strut_force(vehicle, w, e, e_dot)
-    put(F, w, force - hd * get(work.k, w) * extension(p, r, w))
-    u = get(road, 8 + w) - wheel_height(p, work.q, w)
-    u_dot = get(road, 12 + w) - wheel_height(p, work.v, w)
+    put(work.F, w, force - hd * get(work.k, w) * eq.extension(p, r, w))
+    u = get(road, 8 + w) - eq.wheel_height(p, work.q, w)
+    u_dot = get(road, 12 + w) - eq.wheel_height(p, work.v, w)
     load, _, _ = tyre_force(p, w, u, u_dot)
-    put(T, w, load - hd * get(work.k_t, w) * wheel_height(p, r, w))
+    put(work.T, w, load - hd * get(work.k_t, w) * eq.wheel_height(p, r, w))
     if side is not None:
         put(work.dF, w, force)
         put(work.dT, w, load)
@@ -186,7 +137,7 @@ def _stage_2_at_wheel(vehicle, inputs, work, twist, side, w):
 @kernel
 def _loaded_slip(p, roll_rates, state, T):
     """Return l_a u_a [m/s] of both axles under tyre loads `T` (4,)."""
-    u, share = contact_speeds(p, roll_rates, state), load_shares(p, T)
+    u, share = sm.contact_speeds(p, roll_rates, state), sm.load_shares(p, T)
     return share[0] * u[0], share[1] * u[1]
 
 
@@ -211,33 +162,32 @@ def step(vehicle, motion, inputs, work, out, twist=None, side=None):
     for j in range(N_DOF):
         put(f, j, 0.0)
     # bushings act on the roll of the body relative to each axle, which the frame's twist changes
-    front, rear = relative_roll(q, 0), relative_roll(q, 1)
+    front, rear = eq.relative_roll(q, 0), eq.relative_roll(q, 1)
     if twist is not None:
         front += get(p.twist_share, 0) * twist[0]
         rear += get(p.twist_share, 1) * twist[0]
-    add_weight(p, f)
-    add_struts(p, F, front, rear, f)
-    add_tyres(p, T, f)
+    eq.add_weight(p, f)
+    eq.add_struts(p, F, front, rear, f)
+    eq.add_tyres(p, T, f)
     a_x, a_y = get(a_xy, 0), get(a_xy, 1)
-    add_manoeuvre_moments(p, get(q, PHI), get(q, THETA), a_x, a_y, f)
+    eq.add_manoeuvre_moments(p, get(q, PHI), get(q, THETA), a_x, a_y, f)
     if side is not None:
-        state = side_state(q, v)
-        slip = _loaded_slip(p, rolls(v), state, T)
-        rates = side_rates(p, rolls(q), rolls(f), state, slip, inputs.v, a_y)
-        add_rolls(f, rates)
-        slopes = side_increments(p, rates, inputs.v, hd)
-        middle = side_middle(state, slopes, h)
-        put_side(out[SIDE:N_SIDE_SIGNALS], state, rates)
+        state = sm.side_state(q, v)
+        slip = _loaded_slip(p, sm.rolls(v), state, T)
+        rates = sm.side_rates(p, sm.rolls(q), sm.rolls(f), state, slip, inputs.v, a_y)
+        sm.add_rolls(f, rates)
+        slopes = sm.side_increments(p, rates, inputs.v, hd)
+        middle = sm.side_middle(state, slopes, h)
+        sm.put_side(out[SIDE:N_SIDE_SIGNALS], state, rates)
     for j in range(N_DOF):
         put(g, j, get(f, j))
         put(out, STATE + j, get(q, j))
         put(out, STATE + N_DOF + j, get(v, j))
         put(out, ACCELERATION + j, get(f, j) / get(p.M, j))
-    add_struts(p, dF, hd * relative_roll(v, 0), hd * relative_roll(v, 1), g)
-    add_tyres(p, dT, g)
+    eq.add_struts(p, dF, hd * eq.relative_roll(v, 0), hd * eq.relative_roll(v, 1), g)
+    eq.add_tyres(p, dT, g)
     x_dot, y_dot = 2.0 * D * (get(a_xy, 2) - a_x), 2.0 * D * (get(a_xy, 3) - a_y)
-    add_manoeuvre_moments(p, hd * get(v, PHI), hd * get(v, THETA), x_dot, y_dot, g)
-
+    eq.add_manoeuvre_moments(p, hd * get(v, PHI), hd * get(v, THETA), x_dot, y_dot, g)
     factorize(p, work.s, work.t, hd, work.blocks, work.body)
     solve_factored(p, work.blocks, work.body, g)
     # stage 2 at (work.q, work.v): r = r_q of k_2 - k_1, f collects its right-hand side
@@ -254,26 +204,26 @@ def step(vehicle, motion, inputs, work, out, twist=None, side=None):
     _stage_2_at_wheel(vehicle, inputs, work, twist, side, 1)
     _stage_2_at_wheel(vehicle, inputs, work, twist, side, 2)
     _stage_2_at_wheel(vehicle, inputs, work, twist, side, 3)
-    front = relative_roll(work.q, 0) + hd * relative_roll(r, 0)
-    rear = relative_roll(work.q, 1) + hd * relative_roll(r, 1)
+    front = eq.relative_roll(work.q, 0) + hd * eq.relative_roll(r, 0)
+    rear = eq.relative_roll(work.q, 1) + hd * eq.relative_roll(r, 1)
     if side is not None:
-        own_f, own_r = relative_roll(work.q, 0), relative_roll(work.q, 1)
+        own_f, own_r = eq.relative_roll(work.q, 0), eq.relative_roll(work.q, 1)
         if twist is not None:
             own_f += get(p.twist_share, 0) * twist[2]
             own_r += get(p.twist_share, 1) * twist[2]
-        moments = roll_moments(p, work.dF, work.dT, own_f, own_r)
-        slip = _loaded_slip(p, rolls(work.v), middle, work.dT)
-        rates = side_rates(p, rolls(work.q), moments, middle, slip, inputs.v, get(a_xy, 3))
-        add_rolls(f, rates)
-        advance_side(p, motion, slopes, rates, inputs.v, h, hd)
+        moments = eq.roll_moments(p, work.dF, work.dT, own_f, own_r)
+        slip = _loaded_slip(p, sm.rolls(work.v), middle, work.dT)
+        rates = sm.side_rates(p, sm.rolls(work.q), moments, middle, slip, inputs.v, get(a_xy, 3))
+        sm.add_rolls(f, rates)
+        sm.advance_side(p, motion, slopes, rates, inputs.v, h, hd)
     if twist is not None:
         front += get(p.twist_share, 0) * twist[2]
         rear += get(p.twist_share, 1) * twist[2]
-    add_weight(p, f)
-    add_struts(p, F, front, rear, f)
-    add_tyres(p, T, f)
+    eq.add_weight(p, f)
+    eq.add_struts(p, F, front, rear, f)
+    eq.add_tyres(p, T, f)
     phi, theta = get(work.q, PHI) + hd * get(r, PHI), get(work.q, THETA) + hd * get(r, THETA)
-    add_manoeuvre_moments(p, phi, theta, get(a_xy, 2), get(a_xy, 3), f)
+    eq.add_manoeuvre_moments(p, phi, theta, get(a_xy, 2), get(a_xy, 3), f)
     solve_factored(p, work.blocks, work.body, f)
     for j in range(N_DOF):
         add(q, j, h * (get(k_q, j) + get(r, j) + hd * get(f, j)))
@@ -294,12 +244,12 @@ def _flexible_step(vehicle, motion, inputs, work, out, side=None):
     inverse = 1.0 / (inertia + hd * (damping + hd * rate))
     psi, psi_dot = get(q, N_DOF), get(v, N_DOF)
     for w in range(4):
-        e = extension(p, q, w) + twist_extension(p, psi, w)
-        e_dot = extension(p, v, w) + twist_extension(p, psi_dot, w)
+        e = eq.extension(p, q, w) + eq.twist_extension(p, psi, w)
+        e_dot = eq.extension(p, v, w) + eq.twist_extension(p, psi_dot, w)
         put(work.F, w, strut_force(vehicle, w, e, e_dot)[0])
-    front = relative_roll(q, 0) + get(p.twist_share, 0) * psi
-    rear = relative_roll(q, 1) + get(p.twist_share, 1) * psi
-    moment = twist_moment(p, work.F, front, rear) - rate * psi - damping * psi_dot
+    front = eq.relative_roll(q, 0) + get(p.twist_share, 0) * psi
+    rear = eq.relative_roll(q, 1) + get(p.twist_share, 1) * psi
+    moment = eq.twist_moment(p, work.F, front, rear) - rate * psi - damping * psi_dot
     put(out, TWIST, psi)
     put(out, TWIST + 1, psi_dot)
     put(out, TWIST + 2, moment / inertia)
@@ -308,15 +258,14 @@ def _flexible_step(vehicle, motion, inputs, work, out, side=None):
     psi_mid, psi_mid_dot = psi + 0.5 * h * k_q, psi_dot + 0.5 * h * k_v
     step(vehicle, motion, inputs, work, out, (psi, psi_dot, psi_mid, psi_mid_dot), side)
     for w in range(4):
-        e = extension(p, work.q, w) + twist_extension(p, psi_mid, w)
-        e_dot = extension(p, work.v, w) + twist_extension(p, psi_mid_dot, w)
+        e = eq.extension(p, work.q, w) + eq.twist_extension(p, psi_mid, w)
+        e_dot = eq.extension(p, work.v, w) + eq.twist_extension(p, psi_mid_dot, w)
         put(work.F, w, strut_force(vehicle, w, e, e_dot)[0])
-    front = relative_roll(work.q, 0) + get(p.twist_share, 0) * psi_mid
-    rear = relative_roll(work.q, 1) + get(p.twist_share, 1) * psi_mid
+    front = eq.relative_roll(work.q, 0) + get(p.twist_share, 0) * psi_mid
+    rear = eq.relative_roll(work.q, 1) + get(p.twist_share, 1) * psi_mid
     r = psi_mid_dot - k_q
-    moment = (
-        twist_moment(p, work.F, front, rear) - rate * (psi_mid + hd * r) - damping * psi_mid_dot
-    )
+    moment = eq.twist_moment(p, work.F, front, rear)
+    moment = moment - rate * (psi_mid + hd * r) - damping * psi_mid_dot
     m_v = (moment - inertia * k_v) * inverse
     put(q, N_DOF, psi + h * (k_q + r + hd * m_v))
     put(v, N_DOF, psi_dot + h * (k_v + m_v))
@@ -341,14 +290,6 @@ def sample_road(p, surface, s, v, road):
 
 
 @kernel
-def _has_twist(q):
-    """Return whether coordinates `q` have the twist of a flexible frame, behind the seven others:
-    side motion has two more.
-    """
-    return (q.shape[0] - N_DOF) % 2 == 1
-
-
-@kernel
 def update_valves(p, strut_state, q, command, alpha, h):
     """Advance the `strut_state` (4, 3) of all struts by one step `h` [s] under a `command` byte.
 
@@ -356,12 +297,13 @@ def update_valves(p, strut_state, q, command, alpha, h):
     valves had settled before.
     """
     settled = True
+    has_twist = (q.shape[0] - N_DOF) % 2 == 1  # side motion has two coordinates more, or four
     for w in range(4):
         setting = (command >> w) & 1, (command >> (4 + w)) & 1
         if not valves_settled(strut_state, w, setting):
-            e = extension(p, q, w)
-            if _has_twist(q):
-                e += twist_extension(p, q[N_DOF], w)
+            e = eq.extension(p, q, w)
+            if has_twist:
+                e += eq.twist_extension(p, q[N_DOF], w)
             advance_valve(p, strut_state, w, e, setting, alpha, h)
             settled = False
     return settled
@@ -375,9 +317,8 @@ def integrate(vehicle, y, surface, inputs, lag, out, flexible=None, side=None):
     the beginning of each step. Of a `flexible` vehicle `y` is (16,) and `out` (N, 32); with `side`
     motion they are those of `n_signals`. A step on a steep road is divided (`substeps`).
     """
-    p, work = vehicle.constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
-    road = stack_array(16)
-    s, v, a_xy, commands, h = inputs
+    (s, v, a_xy, commands, h), p = inputs, vehicle.constants[0]
+    work, road = step_workspace(stack_array(WORKSPACE_ROWS)), stack_array(16)
     motion, unused = Motion(y[: y.size // 2], y[y.size // 2 :]), stack_array(N_SIDE_SIGNALS)
     alpha = 1.0 - np.exp(-h / lag)
     for n in range(commands.size):

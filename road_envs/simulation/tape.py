@@ -6,21 +6,9 @@ import numpy as np
 
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd_arrays import stack_array
-from road_envs.simulation.rosenbrock import (
-    ACCELERATION,
-    SIDE_ACCELERATION,
-    TWIST,
-    WORKSPACE_ROWS,
-    StepInputs,
-    n_signals,
-    step_workspace,
-    update_valves,
-)
-from road_envs.simulation.sensitivity import (
-    TAPE_ROW_SIZE,
-    step_with_derivative,
-    tangent_step,
-)
+from road_envs.simulation import rosenbrock
+from road_envs.simulation.rosenbrock import WORKSPACE_ROWS, StepInputs, step_workspace
+from road_envs.simulation.sensitivity import TAPE_ROW_SIZE, step_with_derivative, tangent_step
 from road_envs.vehicle.equations import N_DOF, Motion, Plant
 from road_envs.vehicle.side_motion import n_side
 
@@ -29,18 +17,16 @@ from road_envs.vehicle.side_motion import n_side
 def _integrate_with_derivative(
     vehicle, y, inputs, commands, lag, out, rows, flexible=None, side=None
 ):
-    """Take N steps; the state `y` (14,) and the strut state change in place.
+    """Take N steps as `rosenbrock.integrate`; write the derivative to `rows` (N, TAPE_ROW_SIZE).
 
-    `inputs`: StepInputs of all steps, which are the first axis. `commands` (N,), or (0,) for a
-    constant strut state, and `lag` as in `rosenbrock.integrate`. Signals go to `out` (N, 29), the
-    derivative to `rows` (N, TAPE_ROW_SIZE).
+    `inputs`: StepInputs with the steps as first axis; `commands` (0,): a constant strut state.
     """
     p, n_dof, h = vehicle.constants[0], y.size // 2, inputs.h
     work, motion = step_workspace(stack_array(WORKSPACE_ROWS)), Motion(y[:n_dof], y[n_dof:])
     alpha = 1.0 - np.exp(-h / lag)
     for n in range(rows.shape[0]):
         if commands.size > 0:
-            update_valves(p, vehicle.strut_state, motion.q, commands[n], alpha, h)
+            rosenbrock.update_valves(p, vehicle.strut_state, motion.q, commands[n], alpha, h)
         step_inputs = StepInputs(inputs.road[n], inputs.a_xy[n], h, inputs.v[n])
         step_with_derivative(vehicle, motion, step_inputs, work, out[n], rows[n], flexible, side)
 
@@ -58,8 +44,7 @@ def _propagate_tangent(constants, rows, y, road, h, v, a, flexible=None, side=No
 def _checked_copy(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Return a copy of `value` as float. Raises ValueError unless it has the `shape`."""
     copy = np.array(value, dtype=float)
-    if copy.shape != shape:
-        # kernels do not check bounds
+    if copy.shape != shape:  # kernels do not check bounds
         raise ValueError(f"{name} must be of shape {shape}, got {copy.shape}")
     return copy
 
@@ -84,12 +69,12 @@ class Tape:
     @property
     def acceleration(self) -> np.ndarray:
         """Accelerations (N, `n_dof`) of the coordinates at the beginning of each step."""
-        found = self.signals[:, ACCELERATION : ACCELERATION + N_DOF]
+        found = self.signals[:, rosenbrock.ACCELERATION : rosenbrock.ACCELERATION + N_DOF]
         if self.plant.flexible:
-            found = np.column_stack([found, self.signals[:, TWIST + 2]])
+            found = np.column_stack([found, self.signals[:, rosenbrock.TWIST + 2]])
         if self.plant.sideways:
-            end = SIDE_ACCELERATION + n_side(self.plant.constants[0])
-            found = np.column_stack([found, self.signals[:, SIDE_ACCELERATION:end]])
+            side = self.signals[:, rosenbrock.SIDE_ACCELERATION :]
+            found = np.column_stack([found, side[:, : n_side(self.plant.constants[0])]])
         return found
 
     def tangent(self, start: np.ndarray, road: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -120,12 +105,11 @@ def linearize_drive(
 ) -> Tape:
     """Simulate N steps of `h` [s] from the state `start` (14,) and record the derivative.
 
-    `strut_state` (4, 3) at the start; `road` (2 N, 2, 4): heights [m] and rates [m/s] under the
-    wheels at the beginning and the middle of each step; `a_xy` (2 N, 2), if given, a_x and a_y
-    [m/s²] of a manoeuvre at the same times; `commands` (N,), if given, the bytes that reach the
-    valves, of time constant `lag` [s]. Without commands the strut state stays constant. `v` (N,):
-    speed [m/s] in the middle of each step, which a vehicle with side motion needs. Raises
-    ValueError on a wrong shape, ArithmeticError if the motion diverges.
+    `strut_state` (4, 3) at the start; `road` (2 N, 2, 4) as of `Tape.tangent`; `a_xy` (2 N, 2): a_x
+    and a_y [m/s²] of a manoeuvre at the same times; `commands` (N,): bytes that reach the valves,
+    of time constant `lag` [s], without which the strut state stays constant; `v` (N,): speed [m/s]
+    in the middle of each step, which a vehicle with side motion needs. Raises ValueError on a wrong
+    shape, ArithmeticError if the motion diverges.
     """
     road = np.asarray(road, dtype=float)
     steps = len(road) // 2
@@ -137,7 +121,7 @@ def linearize_drive(
     a_xy = np.zeros((2 * steps, 2)) if a_xy is None else a_xy
     a_xy_steps = _checked_copy("a_xy", a_xy, (2 * steps, 2))
     strut_state_end = _checked_copy("strut_state", strut_state, (4, 3))
-    signals, rows = np.zeros((steps, n_signals(plant))), np.empty((steps, TAPE_ROW_SIZE))
+    signals, rows = np.zeros((steps, rosenbrock.n_signals(plant))), np.empty((steps, TAPE_ROW_SIZE))
     bytes_ = np.zeros(0) if commands is None else _checked_copy("commands", commands, (steps,))
     inputs = StepInputs(z.reshape(steps, 16), a_xy_steps.reshape(steps, 4), float(h), speed)
     buffers, valves = plant.buffers(strut_state_end), (bytes_.astype(np.uint8), float(lag))

@@ -15,6 +15,7 @@ from road_envs.roads.surface import Surface
 from road_envs.simulation.drive import DriveSimulator, simulate
 from road_envs.simulation.lanes import SharedInputs, drive_variants
 from road_envs.simulation.manoeuvres import SteadyTurn
+from road_envs.simulation.rosenbrock import SIDE
 from road_envs.simulation.tape import linearize_drive
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.equilibrium import equilibrium
@@ -171,7 +172,8 @@ def linear_reference(car, surface, v, t):
 
 def states(drive, n=2):
     """Return the states (N, 14 + 2 n) of a drive, as the linear model orders them."""
-    tail, rates = drive.side[:, :n], drive.side[:, 4 : 4 + n]
+    side = drive.signals[:, SIDE:]
+    tail, rates = side[:, :n], side[:, 4 : 4 + n]
     return np.column_stack([drive.state[:, :7], tail, drive.state[:, 7:], rates])
 
 

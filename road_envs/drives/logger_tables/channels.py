@@ -19,30 +19,19 @@ from road_envs.records.record import SENSORS
 
 GRAVITY_THRESHOLD = 9.5
 """Least mean [m/s²] of a vertical channel that includes gravity: an axis 14 degrees from the
-vertical has as much, and reads accelerations 3 % too low.
-"""
+vertical has as much, and reads accelerations 3 % too low."""
 
-UPRIGHT_THRESHOLD = 0.5
-"""Largest magnitude of the mean [m/s²] of a channel without gravity: the offset of a sensor, or a
-part of gravity by which the axis is tilted.
-"""
-
-GRAVITY_MAX = 1.5 * units.STANDARD_GRAVITY
-"""Greatest mean of a channel [m/s²]: gravity, and the offset of a sensor."""
-
-LOUD_RMS, LOUDEST = 200.0, 1000.0
-"""RMS [m/s²] that no body or axle has over a drive, and the largest sample of one, of 100 g; those
-beyond are lost.
-"""
-
+UPRIGHT_THRESHOLD = 0.5  # largest mean [m/s²] without gravity: of an offset, or of a tilted axis
+GRAVITY_MAX = 1.5 * units.STANDARD_GRAVITY  # greatest mean [m/s²]: gravity and an offset
 GRAVITY_IN_G = (0.9, 1.1)  # mean of a channel in m/s² that suggests a channel in g
+LOUD_RMS = 200.0  # RMS [m/s²] that no body or axle has over a drive
+LOUDEST = 1000.0  # largest sample [m/s²] of a body or axle, of 100 g; those beyond are lost
 MAX_SPIKES = 0.01  # largest share of a channel's samples that may be such
 MAX_LISTED = 1500  # characters of all problems, each of which may have 300
 
 QUIET_RMS, SILENT_RMS = 0.15, 0.02
 """RMS [m/s²] at which a driven car is questioned, and below which there is none: 50 km/h on a good
-road of class A give 0.3.
-"""
+road of class A give 0.3."""
 
 
 @dataclass
@@ -121,8 +110,7 @@ class Channels:
             return None
         if (a := self.numbers(quantity)) is None:
             return None
-        name = self.headers[quantity]
-        a = -a if quantity in self.description.invert else a
+        name, a = self.headers[quantity], -a if quantity in self.description.invert else a
         problems, notes = self.findings.problems, self.findings.notes
         beyond = np.abs(a - np.nanmedian(a)) > LOUDEST
         if 0 < (lost := int(beyond.sum())) <= MAX_SPIKES * a.size:
@@ -187,13 +175,11 @@ class Channels:
     def _find(self, quantity: str) -> str | None:
         """Return the header of the column of a quantity, None if there is none."""
         given, kind = self.description.columns.get(quantity), self.quantities[quantity].kind
+        names = {h: units.split_header(h, kind)[0].lower() for h in self.table}
         if given is not None:
             wanted = given.strip().lower()
-            for matches in (
-                [h for h in self.table if h.lower() == wanted],
-                [h for h in self.table if units.split_header(h, kind)[0].lower() == wanted],
-            ):
-                if len(matches) == 1:
+            for known in ({h: h.lower() for h in self.table}, names):
+                if len(matches := [h for h, name in known.items() if name == wanted]) == 1:
                     return matches[0]
             close = difflib.get_close_matches(given, list(self.table), n=1)
             hint = f" (did you mean {close[0]!r}?)" if close else ""
@@ -202,9 +188,9 @@ class Channels:
             )
             return None
         taken = {name.strip().lower() for name in self.description.columns.values()}
-        free = [h for h in self.table if h.lower() not in taken]
-        for name in (quantity, *self.quantities[quantity].aliases):
-            matches = [h for h in free if units.split_header(h, kind)[0].lower() == name]
+        free = {h: name for h, name in names.items() if h.lower() not in taken}
+        for alias in (quantity, *self.quantities[quantity].aliases):
+            matches = [h for h, name in free.items() if name == alias]
             if len(matches) > 1:
                 self.findings.problems.append(
                     f"{quantity} is given twice, by the columns {' and '.join(matches)}: say which "

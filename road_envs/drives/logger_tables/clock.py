@@ -15,37 +15,27 @@ from road_envs.drives.logger_tables.table import numeric_values, to_si
 from road_envs.records import units
 from road_envs.records.record import F_C
 
-CLOCK_TOLERANCE = 0.01
-"""Deviation of the clock, relative to the sampling interval, up to which it is not resampled."""
+CLOCK_TOLERANCE = 0.01  # deviation of a clock, in intervals, up to which it is not resampled
 
 REGULAR_REACH, JITTER_REACH = 0.75, 1.25
 """Greatest distance of an instant to the nearest sample, in sampling intervals, at which the
-channel is interpolated: of a clock with missing rows, and of one that jitters.
-"""
+channel is interpolated: of a clock with missing rows, and of one that jitters."""
 
-JITTERING = 0.02
-"""Median relative deviation of the steps from the sampling interval of a jittering clock."""
-
+JITTERING = 0.02  # median deviation of the steps of a jittering clock, in sampling intervals
 MAX_LOST_SHARE = 0.2  # largest share of samples that may be lost
 MIN_SAMPLES = 32  # smallest number of samples of a drive
 SHORTEST_STEP = 1e-12  # smallest increase of a clock [s]; rates of change over less would overflow
 
 CLOSEST_STEP = 0.25
 """Shortest step, in sampling intervals, of times that are believed: those of samples which a device
-hands over in bunches are not when they were measured.
-"""
+hands over in bunches are not when they were measured."""
 
 FS_MIN, FS_USABLE, FS_UPSAMPLED = 20.0, 2.4 * F_C, 4.0 * F_C
-"""Lowest sample rate [Hz] that is read, lowest rate that estimators take, and the rate to which
-slower records are interpolated.
-"""
+"""Lowest sample rate [Hz] that is read, lowest of estimators, that of interpolated slower ones."""
 
+# numbers above these are times since 1970 in this unit; no drive lasts that long
 EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
-"""Numbers above these are times since 1970 in this unit; no drive lasts that long."""
-
-TIME_OF_DAY = r"\s*\d+:\d\d:\d\d(\.\d*)?\s*"
-"""Regular expression of a time of the day; pandas would take "5 H" for one as well."""
-
+TIME_OF_DAY = r"\s*\d+:\d\d:\d\d(\.\d*)?\s*"  # pandas would take "5 H" for one as well
 Y2001 = 1e9  # seconds from 1970 to September 2001: greater times are those of a calendar
 
 
@@ -192,9 +182,8 @@ def resample(
         nearest = np.minimum(np.abs(grid - t[good[after - 1]]), np.abs(t[good[after]] - grid))
         inside = (grid >= t[good[0]] - reach * dt) & (grid <= t[good[-1]] + reach * dt)
         known = (nearest <= reach * dt) & inside
-        row[known] = scipy.interpolate.CubicSpline(
-            *_spread_out(t[good], x[good], CLOSEST_STEP * dt)
-        )(grid[known])
+        apart = _spread_out(t[good], x[good], CLOSEST_STEP * dt)
+        row[known] = scipy.interpolate.CubicSpline(*apart)(grid[known])
     lost = np.isnan(out).any(axis=0).mean()
     if not even:
         findings.notes.append(

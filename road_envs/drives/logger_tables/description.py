@@ -33,9 +33,7 @@ QUANTITIES = {
     "mode_front": _Quantity(None),
     "mode_rear": _Quantity(None),
 }
-"""Signals that a table can hold beside its accelerations: time, speed, odometer, position (WGS 84),
-and state of the struts.
-"""
+"""Signals of a table beside its accelerations: time, speed, odometer, position, state of struts."""
 
 PREFIX = column("")  # beginning of the name of every acceleration
 DEVICE = "PHONE"  # name of the one accelerometer of a device at a place
@@ -51,22 +49,17 @@ PLACES = {
 front seats, the driver's seat on the left, the floor of the trunk, and the front bumper.
 
 The distances are assumed: those of a saloon or hatchback of 2.5 to 2.9 m of wheelbase, to some
-0.2 m. At 70 km/h, 0.2 m change the phase of a wave of 3 m by a tenth of a radian at the sensor.
-"""
+0.2 m. At 70 km/h, 0.2 m change the phase of a wave of 3 m by a tenth of a radian at the sensor."""
 
-DEFAULT_SENSORS, DEVICE_SENSORS = "paper", "phone"
-"""Instruments of the paper's drives, and of one device."""
-
+DEFAULT_SENSORS, DEVICE_SENSORS = "paper", "phone"  # of the paper's drives, and of one device
 DEFAULT_PLACE = "dashboard"  # place of one device if none is given, which a note says
-
 SEAT_NOTE = "a seat swings by itself at 3 to 5 Hz, which no model here has: put it on the floor"
 
 
 def _parse_place(at: str) -> Accelerometer:
-    """Return the place of a word of PLACES, or of "AHEAD" or "AHEAD,LEFT" in metres.
+    """Return the place of a word of PLACES, or of "AHEAD" or "AHEAD,LEFT" [m]. Raises ConfigError.
 
-    AHEAD counts from the front axle and is negative behind it, LEFT from the centre line. Raises
-    ConfigError.
+    AHEAD counts from the front axle and is negative behind it, LEFT from the centre line.
     """
     if at in PLACES:
         return PLACES[at]

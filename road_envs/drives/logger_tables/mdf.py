@@ -25,8 +25,7 @@ MAX_SECONDS = 600.0  # longest time [s] for one file
 def read_mdf(path: Path) -> Any:
     """Return the channels of an MDF file as a table of pyarrow with the column `t` [s].
 
-    Channels of other rates have empty cells at times at which they were not sampled. Raises
-    ConfigError, MissingExtraError.
+    Cells are empty where a channel was not sampled. Raises ConfigError, MissingExtraError.
     """
     if find_spec("asammdf") is None:
         missing = ModuleNotFoundError(name="asammdf")

@@ -8,28 +8,17 @@ from road_envs.drives.logger_tables.channels import Channels, TableFindings
 EARTH_RADIUS = 6_371_008.8  # mean radius of the earth [m]
 LONGEST_GAP = 10.0  # longest time [s] over which a speed or position is interpolated
 
-HELD_ROWS = 5
-"""Rows per change of value from which on a column is taken to hold those of a slower sensor."""
-
-SPEED_MAX, SPEED_QUESTIONED = 70.0, 42.0
-"""Speeds [m/s] that no drive has (250 km/h), and that are questioned (150 km/h)."""
-
+HELD_ROWS = 5  # rows per change of value from which on a column is one of a slower sensor
+SPEED_MAX, SPEED_QUESTIONED = 70.0, 42.0  # [m/s], of no drive (250 km/h), and questioned
 STANDING = -0.3  # least speed [m/s] that is noise of a standing vehicle
-
-TRACK_SMOOTHING = 5.0
-"""Time [s] over which positions are averaged before their track is measured: noise lengthens it."""
+TRACK_SMOOTHING = 5.0  # time [s] over which positions are averaged: noise lengthens their track
 
 POSITION_ERROR, SPEED_ERROR = 1.0, 0.01
 """Assumed standard deviations of the length [m] of a track of satellite positions, whose error
-changes slowly, and of a speed, relative to it.
-"""
+changes slowly, and of a speed, relative to it."""
 
 MAX_SPEED_ERROR = 0.05  # largest relative error of a speed that is taken as its calibration
-
-DISAGREEMENT = 0.25
-"""Relative difference of two distances of a drive above which one of them is wrong."""
-
-
+DISAGREEMENT = 0.25  # relative difference of two distances of a drive of which one is wrong
 _Motion = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 
 
@@ -43,10 +32,7 @@ def read_motion(channels: Channels, t_rows: np.ndarray, t: np.ndarray) -> _Motio
     findings = channels.findings
     before = len(findings.problems)
     whole = channels.description.speed_kmh
-    v, s, lat, lon = (
-        _at(channels, name, t_rows, t) if name in channels else None
-        for name in ("v", "s", "lat", "lon")
-    )
+    v, s, lat, lon = (_at(channels, name, t_rows, t) for name in ("v", "s", "lat", "lon"))
     position = None if lat is None or lon is None else np.stack([lat, lon])
     if v is not None and STANDING < v.min() < 0.0:
         findings.notes.append(f"speeds down to {v.min():.2g} m/s are taken as standstill")
@@ -124,7 +110,7 @@ def _calibrated(
 
 
 def _at(channels: Channels, name: str, t_rows: np.ndarray, t: np.ndarray) -> np.ndarray | None:
-    """Return a slow channel interpolated to the times `t`; None if it cannot be read."""
+    """Return a slow channel interpolated to the times `t`; None if there is none to be read."""
     if (x := channels.numbers(name)) is None:
         return None
     header, findings = channels.headers[name], channels.findings

@@ -25,27 +25,19 @@ from road_envs.records import units
 SNIFFED_CHARACTERS = 10_000  # number of characters that are searched for a decimal comma
 SNIFFED_LINES = 60  # number of lines among which the header is looked for
 
-DELIMITERS = (";", "\t", "|", ",", " ")
-"""Separators of columns, in the order in which they are tried."""
-
+DELIMITERS = (";", "\t", "|", ",", " ")  # separators of columns, in the order of trial
 MAX_BYTES = 2**29  # largest text that is read: three hours of ten columns at 500 Hz
 MAX_COLUMNS, MAX_HEADER = 4096, 200  # most columns of a table, and most characters of a header
 
-LARGEST = 1e12
-"""Greater numbers, in SI units, are none of a drive; their squares and sums would overflow."""
-
-SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
-"""First bytes of spreadsheets, which are also those of archives."""
-
-UNNAMED_INDEX = "__index_level_0__"
-"""Name that pandas gives an unnamed index in a Parquet file; the index of a drive is its time."""
+LARGEST = 1e12  # greater numbers [SI] are none of a drive; their squares and sums would overflow
+SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # first bytes of them, and of archives
+UNNAMED_INDEX = "__index_level_0__"  # of pandas, in Parquet; the index of a drive is its time
 
 Table = Mapping[str, Any]  # columns of a table by header, as pyarrow arrays
 
 
 def read_table(path: Path) -> Table:
     """Read the columns of a table by header. Raises ConfigError."""
-    import_pyarrow()  # says what is missing
     suffix = path.suffix.lower()
     with parsing(path, ConfigError, "no readable table"):
         if suffix == ".parquet":
@@ -54,23 +46,24 @@ def read_table(path: Path) -> Table:
         elif suffix in (".mf4", ".mdf"):
             table = read_mdf(path)
         else:
-            if (size := path.stat().st_size) > MAX_BYTES:
-                raise ConfigError(
-                    f"{size / 2**20:.0f} MiB; at most {MAX_BYTES / 2**20:.0f} MiB of text are "
-                    "read: write it as Parquet, or cut it into shorter drives"
-                )
-            table = _parse_table(path.read_bytes())
+            table = parse_text(read_text(path))
         if not table.num_rows:
             raise ConfigError("no readable table: it has no rows")
-        return _by_header(table)
+        return by_header(table)
 
 
-def parse_text(data: bytes) -> Table:
-    """Return the columns of a table of text by header. Raises ConfigError, ValueError."""
-    return _by_header(_parse_table(data))
+def read_text(path: Path) -> bytes:
+    """Return the bytes of a file of text, at most MAX_BYTES. Raises ConfigError."""
+    if (size := path.stat().st_size) > MAX_BYTES:
+        raise ConfigError(
+            f"{size / 2**20:.0f} MiB; at most {MAX_BYTES / 2**20:.0f} MiB of text are read: write "
+            "it as Parquet, or cut it into shorter drives"
+        )
+    return path.read_bytes()
 
 
-def _by_header(table: Any) -> Table:
+def by_header(table: Any) -> Table:
+    """Return the columns of a table of pyarrow by header. Raises ConfigError."""
     names = [" ".join(name.split()) for name in table.column_names]
     if UNNAMED_INDEX in names and not {"t", "time"} & {name.lower() for name in names}:
         names[names.index(UNNAMED_INDEX)] = "t"
@@ -114,7 +107,8 @@ def to_si(x: np.ndarray, factor: float) -> np.ndarray:
     return factor * x
 
 
-def _parse_table(data: bytes) -> Any:
+def parse_text(data: bytes) -> Any:
+    """Return a table of text as one of pyarrow. Raises ConfigError, ValueError."""
     import_pyarrow()  # says what is missing
     from pyarrow import csv
 
@@ -147,8 +141,7 @@ def _parse_table(data: bytes) -> Any:
 def _find_header(text: str) -> tuple[str, str, str]:
     """Return the line of headers, the separator of columns, and the text below.
 
-    The separator is the first that the last sniffed lines have equally often; the header is the
-    first line that has it as often as they do.
+    The separator is the first that the last sniffed lines have equally often, as has the header.
     """
     start = 0
     while text.startswith("#", start):
@@ -159,14 +152,12 @@ def _find_header(text: str) -> tuple[str, str, str]:
         return "", ",", ""
     complete = [line for _, line in shown][: -1 if len(shown) > 2 else None]
     last = complete[-(len(complete) + 1) // 2 :]
-    counts = {mark: _cells(last[-1], mark) for mark in DELIMITERS}
-    regular = [
-        m for m in DELIMITERS if counts[m] > 1 and all(_cells(x, m) == counts[m] for x in last)
-    ]
     at, head = shown[0]
-    if regular:
-        delimiter = regular[0]
-        at, head = next(x for x in shown if _cells(x[1], delimiter) == counts[delimiter])
+    for delimiter in DELIMITERS:
+        counts = {_cells(line, delimiter) for line in last}
+        if len(counts) == 1 and min(counts) > 1:
+            at, head = next(x for x in shown if _cells(x[1], delimiter) in counts)
+            break
     else:
         delimiter = next((m for m in DELIMITERS if m in head), ",")
     rest = text[at + len(head) + 1 :]

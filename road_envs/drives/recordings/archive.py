@@ -10,7 +10,7 @@ import numpy as np
 
 from road_envs.core.config import ConfigError
 from road_envs.core.reading import parsing
-from road_envs.drives.logger_tables.table import Table, numeric_values, parse_text
+from road_envs.drives.logger_tables.table import Table, by_header, numeric_values, parse_text
 from road_envs.drives.recordings.recording import Series, make_track
 from road_envs.records import units
 
@@ -18,9 +18,7 @@ MAX_MEMBERS = 2000  # most files of an archive or a folder
 MAX_UNPACKED = 2**29  # most bytes of all files together: an hour of six sensors at 400 Hz
 
 MAX_RATIO, RATIO_FREE = 100, 2**20
-"""Largest ratio of unpacked to packed bytes of a file of more than RATIO_FREE bytes. Tables of
-sensors shrink to a third to a tenth.
-"""
+"""Largest ratio of unpacked to packed bytes (3 to 10 of tables), of more than RATIO_FREE bytes."""
 
 ZIP = b"PK\x03\x04"  # first bytes of a zip file
 READ = (".csv", ".json", ".txt", ".gpx")  # ends of the names of members that are read
@@ -41,8 +39,7 @@ def is_zip(path: Path) -> bool:
 def read_members(path: Path) -> Mapping[str, bytes]:
     """Return the tables in a zip file or a folder, by their path below the common folder.
 
-    Raises ConfigError; a damaged archive may raise an exception of any class, so call it inside
-    `parsing`.
+    A damaged archive may raise an exception of any class: call it inside `parsing`.
     """
     members = _of_folder(path) if path.is_dir() else _of_zip(path.read_bytes())
     names = [PurePosixPath(name) for name in members]
@@ -53,8 +50,8 @@ def read_members(path: Path) -> Mapping[str, bytes]:
 
 
 def _of_folder(folder: Path) -> dict[str, bytes]:
-    files = [p for p in sorted(folder.rglob("*")) if p.is_file() and not p.is_symlink()]
-    files = [p for p in files if p.suffix.lower() in READ]
+    files = [p for p in sorted(folder.rglob("*")) if p.suffix.lower() in READ]
+    files = [p for p in files if p.is_file() and not p.is_symlink()]
     if len(files) > MAX_MEMBERS:
         raise ConfigError(f"a folder of {len(files)} tables; at most {MAX_MEMBERS} are read")
     _check_total(sum(p.stat().st_size for p in files))
@@ -106,23 +103,23 @@ def _check_total(size: int) -> None:
 def parse_member(name: str, data: bytes) -> Table:
     """Return the table in the bytes of a member. Raises ConfigError naming the member."""
     with parsing(name, ConfigError, "no readable table"):
-        return parse_text(data)
+        return by_header(parse_text(data))
 
 
 def number_column(table: Table, wanted: str, kind: str, member: str) -> np.ndarray | None:
-    """Return the column whose header without its unit is `wanted`, in SI units (N,).
+    """Return the column whose header is `wanted` but for case and unit, in SI units (N,), if any.
 
-    Headers are compared without case; None if there is no such column. Raises ConfigError.
+    Raises ConfigError.
     """
-    matches = [h for h in table if units.split_header(h)[0].lower() == wanted.lower()]
-    if not matches:
-        return None
-    try:
-        x = numeric_values(table[matches[0]])
-        unit = units.split_header(matches[0])[1]
-        return x * (units.factor(kind, unit) if unit else 1.0)
-    except ValueError as error:
-        raise ConfigError(f"{member}, column {matches[0]}: {error}") from None
+    for header in table:
+        name, unit = units.split_header(header)
+        if name.lower() == wanted.lower():
+            try:
+                x = numeric_values(table[header])
+                return x * (units.factor(kind, unit) if unit else 1.0)
+            except ValueError as error:
+                raise ConfigError(f"{member}, column {header}: {error}") from None
+    return None
 
 
 def axis_columns(table: Table, axes: Iterable[str], member: str) -> np.ndarray | None:

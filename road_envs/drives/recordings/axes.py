@@ -16,10 +16,7 @@ AXIS = re.compile(r"(?P<before>.*?)[ _.\-]*(?P<axis>[xyz])(?P<after>[ _.\-]*(acc
 """A name of an axis: "acc_x", "ax", "accelerationX", "linear_acceleration.x", "x_accel", "x"."""
 
 LINEAR = ("linear", "user", "without gravity", "no gravity", "nograv")
-"""Words in the name of an acceleration without gravity; not in messages of ROS, whose
-`linear_acceleration` includes it.
-"""
-
+"""Words in a name without gravity; the `linear_acceleration` of ROS includes it."""
 
 _Axes = tuple[list[str], bool]  # headers of x, y and z, and whether they are without gravity
 
@@ -59,8 +56,7 @@ def to_recording(name: str, table: Table, axes: _Axes, description: DriveDescrip
     findings, clock = channels.findings, read_clock(channels)
     given = description.units.get(column(DEVICE), "")
     x = np.column_stack([_acceleration(table, h, given, findings) for h in headers])
-    names = ("lat", "lon", "v", "s")
-    columns = [channels.numbers(key) if key in channels else None for key in names]
+    columns = [channels.numbers(key) for key in ("lat", "lon", "v", "s")]
     findings.raise_problems()
     assert clock is not None
     track = make_track(clock.t, *columns)

@@ -1,16 +1,4 @@
-"""Choice of the reader of a file: recognised by its content, without options.
-
-| file | reader |
-|---|---|
-| zip file or folder of phyphox | `phyphox.py` |
-| zip file or folder of Sensor Logger | `sensor_logger.py` |
-| zip file or folder of one table with three axes and one with the track | `formats.py` |
-| VBOX (`.vbo`) | `vbox.py` |
-| MCAP; bag of ROS 2, a folder or its file of SQLite | `ros.py` |
-| GPX, as a track beside another file | `gpx.py` |
-| JSON lines | `json_lines.py` |
-| text, Parquet, MDF4 | `road_envs/drives/logger_tables/table.py` |
-"""
+"""Choice of the reader of a file, by its content alone; zips of tables and tracks are read here."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -21,18 +9,10 @@ from road_envs.core.reading import parsing
 from road_envs.drives.logger_tables.channels import Channels
 from road_envs.drives.logger_tables.clock import read_clock
 from road_envs.drives.logger_tables.description import QUANTITIES, DriveDescription
-from road_envs.drives.logger_tables.table import MAX_BYTES, Table, read_table
-from road_envs.drives.recordings import (
-    archive,
-    axes,
-    gpx,
-    json_lines,
-    phyphox,
-    ros,
-    sensor_logger,
-    vbox,
-)
+from road_envs.drives.logger_tables.table import Table, read_table, read_text
+from road_envs.drives.recordings import archive, axes, gpx, json_lines, phyphox, ros, sensor_logger
 from road_envs.drives.recordings.recording import Recording, Track, make_track
+from road_envs.drives.recordings.vbox import is_vbo, parse_vbo
 from road_envs.records.units import split_header
 
 READ = (
@@ -40,11 +20,9 @@ READ = (
     "with the track; tables (CSV and other text, Parquet, MDF4, JSON lines), VBOX (.vbo), MCAP and "
     "bags of ROS 2, and GPX as --track"
 )
-"""What is read, in words."""
 
+# ends of the names of files in a folder of several drives
 SUFFIXES = ".csv .txt .zip .parquet .mf4 .mdf .vbo .json .jsonl .mcap .db3".split()
-"""Ends of the names of files in a folder of several drives."""
-
 HEAD = 20_000  # bytes by which a file is recognised
 
 
@@ -74,8 +52,7 @@ def read_source(path: Path, description: DriveDescription) -> Recording | Table:
 def drives_in(path: Path) -> list[Path]:
     """Return the files and folders of drives that a folder holds; a path that is one drive, alone.
 
-    A folder of an app, a bag of ROS 2 or one of a table and its track is one drive. Raises
-    ConfigError.
+    One are a folder of an app, a bag of ROS 2, and a table with its track. Raises ConfigError.
     """
     if not path.is_dir() or ros.is_bag(path):
         return [path]
@@ -117,8 +94,9 @@ def _of_members(path: Path, description: DriveDescription) -> Recording:
 def _table_and_track(
     name: str, members: Mapping[str, bytes], description: DriveDescription
 ) -> Recording | None:
-    """Return the recording in one table with three axes, with the track of another if it has none;
-    None if the members are others. Tables that cannot be read are left out. Raises ConfigError.
+    """Return the recording in one table with three axes, with the track of another if it has none.
+
+    None if the members are others; tables that cannot be read are left out. Raises ConfigError.
     """
     tables: dict[str, Table] = {}
     for member, data in members.items():
@@ -137,13 +115,9 @@ def _table_and_track(
 
 
 def _table(path: Path, head: bytes) -> Table:
-    is_vbo = vbox.is_vbo(head)
-    if not (is_vbo or json_lines.is_json(head)):
-        return read_table(path)
-    if (size := path.stat().st_size) > MAX_BYTES:
-        raise ConfigError(f"{size / 2**20:.0f} MiB; at most {MAX_BYTES / 2**20:.0f} MiB are read")
-    data = path.read_bytes()
-    return vbox.parse_vbo(data) if is_vbo else json_lines.parse_json(data)
+    if is_vbo(head):
+        return parse_vbo(read_text(path))
+    return json_lines.parse_json(read_text(path)) if json_lines.is_json(head) else read_table(path)
 
 
 def read_track(path: Path, description: DriveDescription) -> Track:
@@ -154,7 +128,7 @@ def read_track(path: Path, description: DriveDescription) -> Track:
         with path.open("rb") as file:
             head = file.read(HEAD)
         if gpx.is_gpx(head):
-            return gpx.parse_gpx(path.read_bytes())
+            return gpx.parse_gpx(read_text(path))
         table = _table(path, head)
         if (found := _track_of(table, description)) is None:
             raise ConfigError(
@@ -174,11 +148,10 @@ def _track_of(table: Table, description: DriveDescription) -> Track | None:
         {q: x for q, x in given.items() if q in QUANTITIES} for given in (named, description.units)
     )
     channels = Channels(table, DriveDescription(columns=named, units=known))
-    names = [key for key in ("lat", "lon", "v", "s") if key in channels]
-    if "t" not in channels or not names:
+    names = ("lat", "lon", "v", "s")
+    if "t" not in channels or not any(name in channels for name in names):
         return None
-    clock = read_clock(channels)
-    columns = {key: channels.numbers(key) for key in names}
+    clock, columns = read_clock(channels), [channels.numbers(name) for name in names]
     channels.findings.raise_problems()
     assert clock is not None
-    return Track(make_track(clock.t, **columns), clock.epoch, tuple(channels.findings.notes))
+    return Track(make_track(clock.t, *columns), clock.epoch, tuple(channels.findings.notes))

@@ -5,6 +5,7 @@ one; otherwise it is left open, and follows from the positions.
 """
 
 import re
+from contextlib import suppress
 from xml.etree import ElementTree
 
 import numpy as np
@@ -43,10 +44,8 @@ def parse_gpx(data: bytes) -> Track:
         raise ConfigError(f"the time {str(stamps[k])[:60]!r} of point {k + 1} is not in ISO 8601")
     rows = [[_number(p.get("lat")), _number(p.get("lon")), _number(_text(p, "speed")), np.nan]
             for p in points]  # fmt: skip
-    x, order = np.array(rows), np.argsort(t, kind="stable")
-    t, x = t[order], x[order]
-    new = np.r_[True, np.diff(t) > 0.0]
-    t, x = t[new], x[new]
+    t, first = np.unique(t, return_index=True)
+    x = np.array(rows)[first]
     if np.isnan(x[:, :2]).any():
         k = int(np.flatnonzero(np.isnan(x[:, :2]).any(axis=1))[0])
         raise ConfigError(f"point {k + 1} of the GPX file has no latitude and longitude")
@@ -65,8 +64,7 @@ def _text(point: ElementTree.Element, name: str) -> str | None:
 
 
 def _number(text: str | None) -> float:
-    try:
-        x = float(text) if text is not None else np.nan
-    except ValueError:
-        return np.nan
-    return x if np.isfinite(x) else np.nan
+    with suppress(ValueError):
+        if text is not None and np.isfinite(x := float(text)):
+            return x
+    return np.nan

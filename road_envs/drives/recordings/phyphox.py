@@ -12,13 +12,7 @@ accelerations are without gravity. `Location.csv` has "Latitude (°)", "Longitud
 from collections.abc import Mapping
 
 from road_envs.core.config import ConfigError
-from road_envs.drives.recordings.archive import (
-    axis_columns,
-    find_member,
-    number_column,
-    parse_member,
-    track_columns,
-)
+from road_envs.drives.recordings import archive
 from road_envs.drives.recordings.recording import Recording, Series
 
 AXES = ("", "Acceleration ", "Linear Acceleration ")  # names of columns before x, y and z
@@ -27,21 +21,21 @@ LINEAR = ("Linear Accelerometer.csv", "Linear Acceleration.csv")
 
 
 def is_phyphox(members: Mapping[str, bytes]) -> bool:
-    name = find_member(members, *WITH_GRAVITY, *LINEAR)
+    name = archive.find_member(members, *WITH_GRAVITY, *LINEAR)
     return name is not None and b"Time (s)" in members[name][:200]
 
 
 def read_phyphox(name: str, members: Mapping[str, bytes]) -> Recording:
-    file = find_member(members, *WITH_GRAVITY) or find_member(members, *LINEAR)
+    file = archive.find_member(members, *WITH_GRAVITY) or archive.find_member(members, *LINEAR)
     assert file is not None
-    table = parse_member(file, members[file])
-    t = number_column(table, "Time", "time", file)
+    table = archive.parse_member(file, members[file])
+    t = archive.number_column(table, "Time", "time", file)
     for before in AXES:
-        if (a := axis_columns(table, [before + axis for axis in "xyz"], file)) is not None:
+        if (a := archive.axis_columns(table, [before + axis for axis in "xyz"], file)) is not None:
             break
     if t is None or a is None:
         raise ConfigError(f"{file} lacks the columns X, Y and Z; it has {', '.join(table)}")
-    location = find_member(members, "Location.csv", "GPS.csv")
+    location = archive.find_member(members, "Location.csv", "GPS.csv")
     epoch, breaks = _events(members)
     return Recording(
         name=name,
@@ -54,18 +48,18 @@ def read_phyphox(name: str, members: Mapping[str, bytes]) -> Recording:
 
 
 def _track(file: str, data: bytes) -> Series | None:
-    table = parse_member(file, data)
-    t = number_column(table, "Time", "time", file)
-    return None if t is None else track_columns(table, t, "Velocity", file)
+    table = archive.parse_member(file, data)
+    t = archive.number_column(table, "Time", "time", file)
+    return None if t is None else archive.track_columns(table, t, "Velocity", file)
 
 
 def _events(members: Mapping[str, bytes]) -> tuple[float | None, tuple[float, ...]]:
     """Return the time since 1970 at the zero of the experiment, and its times of pauses [s]."""
-    if (file := find_member(members, "time.csv")) is None:
+    if (file := archive.find_member(members, "time.csv")) is None:
         return None, ()
-    table = parse_member(file, members[file])
-    t = number_column(table, "experiment time", "time", file)
-    system = number_column(table, "system time", "time", file)
+    table = archive.parse_member(file, members[file])
+    t = archive.number_column(table, "experiment time", "time", file)
+    system = archive.number_column(table, "system time", "time", file)
     events = [str(x).strip().upper() for x in table.get("event", ())]
     if t is None or system is None or len(events) != t.size or not t.size:
         return None, ()

@@ -14,21 +14,13 @@ from road_envs.core.config import ConfigError
 
 LONGEST_PAUSE = 2.0
 """Time [s] without acceleration from which on a recording is another drive: a second of loss is a
-gap, and at 10 m/s two seconds are more than the waves that an estimator joins.
-"""
+gap, and at 10 m/s two seconds are more than the waves that an estimator joins."""
 
 SHORTEST_DRIVE = 8.0  # shortest part [s] that is a drive; shorter ones are left out, with a note
-
-STANDING_SPEED, KEPT_STANDING = 0.5, 2.0
-"""Speed [m/s] below which a vehicle stands, and the time [s] of standing that is kept at each end:
-before and behind it the phone is handled.
-"""
-
-KEPT_UNKNOWN = 1.5
-"""Time [s] that is kept before the first speed and behind the last: receivers tell one a second."""
-
-MOST_REPEATED = 0.01
-"""Largest share of samples whose time is that of the sample before; they are left out."""
+STANDING_SPEED = 0.5  # speed [m/s] below which a vehicle stands
+KEPT_STANDING = 2.0  # time [s] of standing that is kept at each end; beyond it the phone is handled
+KEPT_UNKNOWN = 1.5  # time [s] kept before the first speed and behind the last, of one a second
+MOST_REPEATED = 0.01  # largest share of samples with the time of the one before, to be left out
 
 
 @dataclass(frozen=True)
@@ -40,6 +32,11 @@ class Series:
 
     def __getitem__(self, samples: slice | np.ndarray) -> "Series":
         return Series(self.t[samples], self.x[samples])
+
+    @property
+    def duration(self) -> float:
+        """Time [s] from the first sample to the last; 0 without any."""
+        return float(self.t[-1] - self.t[0]) if self.t.size else 0.0
 
     def between(self, begin: float, end: float) -> "Series":
         """The samples from `begin` to `end` [s]."""
@@ -59,9 +56,7 @@ def make_track(
 
 
 class Track(NamedTuple):
-    """A track (M, 4) of its own file, as in `Recording`, the time since 1970 [s] at its zero if the
-    file tells it, and notes.
-    """
+    """A track (M, 4) of its own file, with `epoch` and `notes` as of a Recording."""
 
     series: Series
     epoch: float | None = None
@@ -73,9 +68,8 @@ class Recording:
     """Accelerations (N, 3) [m/s²] along the axes of a device, with gravity unless it `lacks` it.
 
     The `track` (M, 4) holds latitude and longitude [°], speed [m/s] and odometer [m]. `unit_named`:
-    the unit of the accelerations is told; `is_table`: columns and units were found by their names.
-    `breaks` [s] are times at which the recording was
-    paused although its clock goes on.
+    the unit of the accelerations is told; `is_table`: columns and units were found by their names;
+    `breaks` [s]: times of pauses in which the clock went on.
     """
 
     name: str
@@ -120,16 +114,13 @@ def drives_of(recording: Recording) -> list[Recording]:
     recording = replace(recording, acceleration=_increasing(recording.acceleration))
     t = recording.acceleration.t
     steps = np.flatnonzero(np.diff(t) > LONGEST_PAUSE) + 1
-    paused = np.searchsorted(t, recording.breaks)
-    edges = np.unique(np.concatenate([[0], steps, paused, [t.size]]))
-    parts, short = [], 0
-    for first, last in itertools.pairwise(edges):
-        part = _without_standing(_cut(recording, slice(int(first), int(last))))
-        span = part.acceleration.t[-1] - part.acceleration.t[0] if part.acceleration.t.size else 0.0
-        if span < SHORTEST_DRIVE:
-            short += 1
-        else:
-            parts.append(part)
+    edges = np.unique(np.r_[0, steps, np.searchsorted(t, recording.breaks), t.size])
+    found = [
+        _without_standing(_cut(recording, slice(int(first), int(last))))
+        for first, last in itertools.pairwise(edges)
+    ]
+    parts = [part for part in found if part.acceleration.duration >= SHORTEST_DRIVE]
+    short = len(found) - len(parts)
     if not parts:
         raise ConfigError(
             f"no part of the recording lasts {SHORTEST_DRIVE:g} s in motion: it has {t.size} "
@@ -167,18 +158,14 @@ def _increasing(series: Series) -> Series:
 
 
 def _cut(recording: Recording, part: slice) -> Recording:
-    a = recording.acceleration[part]
-    track = recording.track
+    a, track = recording.acceleration[part], recording.track
     if track is not None and a.t.size:
         track = track.between(a.t[0] - LONGEST_PAUSE, a.t[-1] + LONGEST_PAUSE)
     return replace(recording, acceleration=a, track=track if track and track.t.size else None)
 
 
 def _without_standing(recording: Recording) -> Recording:
-    """Return a recording that begins and ends shortly before and behind the motion.
-
-    Where it has no speed yet, or no more, the vehicle need not stand.
-    """
+    """Return a recording from shortly before the motion, or the first speed, to behind it."""
     if recording.track is None:
         return recording
     known = np.isfinite(recording.track.x[:, 2])
@@ -190,9 +177,8 @@ def _without_standing(recording: Recording) -> Recording:
     known_at_begin, known_at_end = moving[0] > t[0], moving[-1] < t[-1]
     begin = moving[0] - (KEPT_STANDING if known_at_begin else KEPT_UNKNOWN)
     end = moving[-1] + (KEPT_STANDING if known_at_end else KEPT_UNKNOWN)
-    part = a.between(begin, end)
-    left = (a.t[-1] - a.t[0]) - (part.t[-1] - part.t[0]) if part.t.size else 0.0
-    notes = recording.notes
+    part, notes = a.between(begin, end), recording.notes
+    left = a.duration - part.duration if part.t.size else 0.0
     if not known_at_begin and (late := begin - a.t[0]) > 0.0:
         notes = (
             *notes,

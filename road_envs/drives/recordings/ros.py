@@ -36,7 +36,6 @@ MCAP_MAGIC, SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\x00"  # first byt
 MAX_CHUNK = 2**28  # most bytes of a chunk when unpacked; writers make chunks of 1 to 8 MiB
 MAX_MESSAGE = 2**16  # most bytes of a message that is read; one of an inertial unit has some 350
 
-
 _Message = tuple[str, str, bytes]  # topic, type (one of DECODERS) and serialised fields
 
 
@@ -103,17 +102,15 @@ def _to_recording(name: str, messages: Iterable[_Message]) -> Recording:
             f"no message of {IMU}, which holds accelerations of three axes (its messages: {others})"
         )
     chosen = max(units, key=lambda topic: len(units[topic]))
-    notes: tuple[str, ...] = ()
-    if len(units) > 1:
-        left = ", ".join(sorted(set(units) - {chosen}))
-        notes = (f"the accelerations are those of the topic {chosen}; left out: {left}",)
+    left = ", ".join(sorted(set(units) - {chosen}))
+    note = f"the accelerations are those of the topic {chosen}; left out: {left}"
     a = _in_order(units[chosen])
     zero = float(a[0, 0])
     parts = [_in_order(values) for (kind, _), values in rows.items() if kind != IMU]
     track = _merged(np.concatenate(parts), zero) if parts else None
     return Recording(
         name=name, acceleration=Series(a[:, 0] - zero, a[:, 1:]), track=track,
-        epoch=zero, notes=notes,
+        epoch=zero, notes=(note,) if left else (),
     )  # fmt: skip
 
 
@@ -134,11 +131,7 @@ def _in_order(rows: list[tuple[float, ...]]) -> np.ndarray:
 
 
 def _mcap_messages(path: Path) -> Iterator[_Message]:
-    """Yield the messages of DECODERS in an MCAP file. Raises ConfigError.
-
-    A chunk states its size when unpacked; no more than that, and no more than MAX_CHUNK, is
-    unpacked.
-    """
+    """Yield the messages of DECODERS in an MCAP file. Raises ConfigError."""
     with optional_import("an MCAP file"):
         from mcap.exceptions import McapError
         from mcap.records import Channel, Chunk, Message, Schema
@@ -146,7 +139,7 @@ def _mcap_messages(path: Path) -> Iterator[_Message]:
 
     schemas: dict[int, str] = {}
     channels: dict[int, tuple[str, str]] = {}
-    other: set[str] = set()
+    other, found = set[str](), False
 
     def records(file: Any) -> Iterator[Any]:
         for record in StreamReader(file, emit_chunks=True, record_size_limit=MAX_CHUNK).records:
@@ -156,7 +149,6 @@ def _mcap_messages(path: Path) -> Iterator[_Message]:
             else:
                 yield record
 
-    found = False
     with path.open("rb") as file:
         try:
             for record in records(file):
@@ -181,7 +173,7 @@ def _mcap_messages(path: Path) -> Iterator[_Message]:
 
 
 def _unpacked(chunk: Any) -> bytes:
-    """Return the bytes of a chunk, at most those that it states. Raises ConfigError."""
+    """Return the bytes of a chunk: those that it states, at most MAX_CHUNK. Raises ConfigError."""
     size = chunk.uncompressed_size
     if size > MAX_CHUNK:
         raise ConfigError(f"a chunk of {size / 2**20:.0f} MiB; at most {MAX_CHUNK >> 20} are read")

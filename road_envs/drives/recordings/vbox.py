@@ -27,10 +27,8 @@ def parse_vbo(data: bytes) -> Mapping[str, Any]:
     import pyarrow as pa
 
     text = decode(data)
-    sections = {
-        name.lower(): body
-        for name, body in re.findall(r"(?ms)^\[([^\]\n]+)\]\s*$(.*?)(?=^\[|\Z)", text)
-    }
+    found = re.findall(r"(?ms)^\[([^\]\n]+)\]\s*$(.*?)(?=^\[|\Z)", text)
+    sections = {name.lower(): body for name, body in found}
     names = sections.get("column names", "").split()
     rows = [line.split() for line in sections.get("data", "").splitlines() if line.strip()]
     if not names or not rows:
