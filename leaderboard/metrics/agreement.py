@@ -7,7 +7,8 @@ correlation for objective comparison of profiles"):
 
     R = max over lags of <P(s) Q(s + lag)> / (sigma_P sigma_Q) x min(sigma_P, sigma_Q) / max(...)
 
-It is 1 only where places and sizes of roughness agree. It is in that style, no certification by it.
+It is 1 only where both the places and the sizes of roughness agree. It is a comparison in the style
+of that practice, not a certification by it.
 """
 
 from typing import NamedTuple

@@ -48,8 +48,10 @@ class _Alignment(NamedTuple):
 
 
 def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) -> _Alignment:
-    """Align an estimate of a drive at `v` [m/s] with the `road` that was driven, where station 0 of
-    the estimate is assumed at `chainage` [m]. Raises ConfigError if they overlap or match nowhere.
+    """Align an estimate of a drive at `v` [m/s] with the `road` that was driven.
+
+    `chainage` [m] is the station of the road at which station 0 of the estimate is assumed. Raises
+    ConfigError if the profiles do not overlap, or do not match at any lag.
     """
     ds, band = estimate.ds, scored_band(v)
     first = int(np.ceil((road.start - chainage) / ds))

@@ -214,7 +214,8 @@ def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None)
     1 2 2 2 5, unless more others are significantly better than were of any before. An entry is
     significantly better if the 95 % interval of the paired difference, of the logarithms if no
     score is negative, is beyond `REPRODUCIBLE`, as of two that err alike one is always ahead, by
-    rounding. Roads alone are drawn, with all runs: one lucky seed of three would be too often.
+    rounding. Roads alone are drawn, each with all its runs: of three seeds, one of luck alone would
+    be drawn too often.
     """
     made = {name: resample([x.reshape(len(x), -1, 1)], strata=strata) for name, x in scores.items()}
     known = {name: x for name, x in made.items() if np.isfinite(x.replicates).all()}

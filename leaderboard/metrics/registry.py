@@ -22,8 +22,10 @@ PRINTED_SCORES = (  # of one estimate; there are three times as many
 
 
 def compute_scores(scored: ScoredEstimate) -> dict[str, float]:
-    """Return all SCORES of an estimate, NaN where one is not defined: of obstacles unless they are
-    scored and the truth has some, of uncertainty without a standard deviation, relative to a flat
-    truth, and after local alignment unless the positions wander.
+    """Return all SCORES of an estimate; NaN where one is not defined.
+
+    Obstacle scores are defined if obstacles are scored and the truth has some, uncertainty scores
+    if the estimate has a standard deviation, errors relative to the truth unless it is flat, errors
+    after local alignment if the positions wander.
     """
     return {key: float(x.compute(scored)) for key, x in SCORES.items() if x.compute is not None}

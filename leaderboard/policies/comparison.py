@@ -59,7 +59,10 @@ class Comparison:
 
 
 def public_drives(number: int = PUBLIC_DRIVES, seal: str | None = None) -> Drives:
-    """Return the public or sealed drives, each to both sides. Raises ConfigError (short `seal`)."""
+    """Return the public drives, or those sealed by `seal`: both groups, each to both sides.
+
+    Raises ConfigError for a short `seal`.
+    """
     if seal is not None and len(seal) < _SHORTEST_SEAL:
         raise ConfigError(
             f"the seal must have at least {_SHORTEST_SEAL} characters, got {len(seal)}: a policy "

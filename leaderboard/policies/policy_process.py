@@ -112,7 +112,10 @@ class PolicyProcess:
         return folder
 
     def _forget_others(self) -> None:
-        """Let no other policy, nor one of commands before, tell this one anything of the drives."""
+        """Let the policy before, if it is another one, tell this one nothing of the drives.
+
+        Before the first guest of a command came those of commands before, with the same seal.
+        """
         reference, pipes = PolicyProcess.last_guest or ("", bubblewrap.count_pipes())
         if reference != self.reference:
             pipes = bubblewrap.forget_guests(pipes)

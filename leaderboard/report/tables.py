@@ -227,7 +227,9 @@ def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: S
 
 
 def _rank(tables: Sequence[_Averages], task: Task, parts: Mapping[str, ScoreSlice]) -> None:
-    """Add the ranks by division in every group of MIN_ROADS roads; none without the score there."""
+    """Add the ranks in every group of MIN_ROADS roads, among all entries and the causal ones, or
+    among these alone if the board has no other division; none to an entry without the score there.
+    """
     by_name = {x.result.estimator: x for x in tables if x.result.role == "entry"}
     causal = {name: x for name, x in by_name.items() if x.result.causal}
     divisions = {"offline": by_name, "causal": causal}

@@ -6,7 +6,8 @@
 
 A record tells its seed to who tries them all, as its first sample is noise alone, so there are too
 many; and its seed tells a salt that can be guessed, so each guess takes a slow hash. The commitment
-fixes seeds, tasks and number of roads; once the salt is published, anyone can draw and compare.
+fixes seeds, tasks and number of roads without disclosing the seeds. Once the salt is published,
+anyone can draw the same seeds and compare.
 """
 
 import dataclasses

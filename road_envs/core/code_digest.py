@@ -1,7 +1,8 @@
 """Digests of source code that change when the code does, and not with its comments or docstrings.
 
-A file counts by its syntax tree without docstrings; which files belong together is found by
-following import statements. Both are remembered by the content of the file.
+A file counts by its syntax tree without docstrings, which is the same in every version of Python;
+which files belong together is found by following import statements. Both are remembered by the
+content of the file.
 """
 
 import ast

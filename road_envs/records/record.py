@@ -1,6 +1,8 @@
 """Data classes of the benchmark: record, profile and estimate. SI units.
 
-The order of wheel paths is left, right; that of wheels FL, FR, RL, RR.
+A record holds the measured signals of a drive, a profile the heights of both wheel paths. The
+order of wheel paths is left, right; that of wheels FL, FR, RL, RR; that of the paper's sensors RF,
+LR, RR.
 """
 
 from collections.abc import Mapping

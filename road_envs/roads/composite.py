@@ -65,8 +65,9 @@ class FixedSeed(_Modified):
 class NoisyCopy(_Modified):
     """A road with added noise and a delay: the paper's training version of its Belgian paving.
 
-    Gaussian noise is added on the paper's grid of 25.2 mm and interpolated to the samples. The road
-    is then shifted by `delay` and cut to its former length (Ngwangwa et al., section 4).
+    Gaussian noise with `noise` times the standard deviation of each wheel path is added on the
+    paper's grid of 25.2 mm and interpolated to the samples. The road is then shifted by `delay`,
+    with a level section before it, and cut to its former length (Ngwangwa et al., section 4).
     """
 
     noise: Annotated[NonNegative, "", "standard deviation over that of the wheel path"] = 0.1

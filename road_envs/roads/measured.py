@@ -1,9 +1,10 @@
 """Roads from measured surfaces: OpenCRG and ERD files, or tables of distance and height.
 
 The wheel paths of a grid are `track` apart and symmetric about the line `centre`, with linear
-interpolation between the long sections. Station 0 is the first sample, and both paths start at
-height 0. A surface that is shorter than the road is used as a tile: mirrored, or repeated after
-subtraction of the line from its first to its last height, so that the ends meet.
+interpolation between the long sections. A path with missing heights is an error unless gaps are to
+be interpolated along it. Station 0 is the first sample, and both paths start at height 0. A surface
+that is shorter than the road is used as a tile: mirrored, or repeated after subtraction of the line
+from its first to its last height, so that the ends meet.
 """
 
 from dataclasses import dataclass

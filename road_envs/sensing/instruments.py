@@ -21,7 +21,10 @@ ANTIALIAS_ORDER = 4  # order of the Butterworth filter before the sampler [assum
 
 
 class SensorLocation(NamedTuple):
-    """Place [m] ahead and left of the centre of mass: on the body, front (0) or rear axle (1)."""
+    """Place `x` ahead and `y` left of the centre of mass [m], on the body or on an `axle`.
+
+    `axle` is 0 for the front axle, 1 for the rear one and None for the body.
+    """
 
     x: float
     y: float
