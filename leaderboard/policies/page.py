@@ -58,7 +58,9 @@ def _score_chart(data: Mapping[str, Any]) -> Chart:
     rows = {row["policy"]: row for row in data["rows"]}
     traces = []
     for k, name in enumerate(_shown_policies(data)):
-        look: dict[str, Any] = {"marker": {"size": 9, "color": f"var(--line-{k % 7})"}}
+        symbol = ("circle", "diamond")[k // 7]  # there are seven colours
+        marker = {"size": 9, "color": f"var(--line-{k % 7})", "symbol": symbol}
+        look: dict[str, Any] = {"marker": marker}
         if name == BEST_FOUND:
             look = {"line": {"color": QUIET, "width": 2, "shape": "hvh"}}
         trace = {

@@ -233,6 +233,14 @@ def test_the_timeline_of_a_drive_has_its_motion_and_states(drives, rollouts):
     assert traces["handling"]["x"][0] == pytest.approx(10.0, abs=0.06)
 
 
+def test_no_two_policies_of_the_chart_look_alike():
+    rows = [{"policy": str(k), "failure": "", "scores": [0.0]} for k in range(12)]
+    drawn = _score_chart({"rows": rows, "reference": "11", "drives": ["one"]})["figures"][""][
+        "data"
+    ]
+    assert len({str(trace["marker"]) for trace in drawn}) == len(drawn) == 9
+
+
 @pytest.mark.processes
 def test_the_page_shows_every_row_and_the_best_found_as_a_line(searched):
     data = searched.data
@@ -241,6 +249,11 @@ def test_the_page_shows_every_row_and_the_best_found_as_a_line(searched):
     assert f"<option selected>{BEST_FOUND}</option>" in page
     lines = [t["name"] for t in _score_chart(data)["figures"][""]["data"] if t["mode"] == "lines"]
     assert lines == [BEST_FOUND]
+    rows = [{"policy": str(k), "failure": "", "scores": [0.0]} for k in range(12)]
+    drawn = _score_chart({"rows": rows, "reference": "11", "drives": ["one"]})["figures"][""][
+        "data"
+    ]
+    assert len({str(trace["marker"]) for trace in drawn}) == len(drawn) == 9  # all look different
     mean = data["rows"][0]["score"]["mean"]  # of one pair of drives: without an interval
     assert f"<td>{mean:.3f}</td><td>–</td>" in page
     assert f"{BEST_FOUND:20s} {mean:6.3f} {'–':>17s} " in table_lines(data)[2]
