@@ -1,7 +1,8 @@
 """Self-check of an estimated road: does the vehicle, driven over it, move as was measured?
 
 A linear smoother or a filter that has lost the vehicle gives heights that the nonlinear vehicle
-contradicts: wheels that were in the air press, accelerations are many times those measured.
+contradicts: wheels that were in the air press, accelerations are many times those measured. The
+vehicle is simulated over the estimate and the accelerations of the sensors are compared below F_C.
 
 Heights are impossible whatever the estimator if they demand _IMPOSSIBLE_RATIO times the measured
 accelerations or more. The wheel loads alone move the vehicle (Newton's second law), so the
@@ -85,7 +86,9 @@ def _motions(
 def _by_station(
     motions: list[np.ndarray], finite: np.ndarray, record: Record, wheelbase: float, after: float
 ) -> np.ndarray:
-    """Return powers (2, M) about stations of two `motions` `after` [s], the second if `finite`."""
+    """Return the powers (2, M) of two `motions` about stations, of samples `after` the first [s];
+    that of the second is very large where its motion is not `finite` (N,).
+    """
     power = np.array([(x**2).sum(axis=0) for x in motions])
     power[1, ~finite] = np.inf
     power = np.where(record.t < record.t[0] + after, 0.0, np.minimum(power, 1e12))
@@ -123,8 +126,10 @@ def _demand_ratio(
 def mark_impossible(
     estimate: Estimate, record: Record, car: VehicleParameters, estimator: Estimator
 ) -> Estimate:
-    """Return the `estimate` of an `estimator` with a model of the vehicle with its windows of
-    impossible heights marked as `unsure`, in the first note and by `z_std`. Raises ConfigError.
+    """Return the `estimate` of an `estimator` with a model of the vehicle with its impossible
+    heights marked as `unsure`, in the first note and by a greater `z_std`. Raises ConfigError.
+
+    Which heights of a window demand its accelerations is not told, so all of it are marked.
     """
     if not isinstance(estimator, HasInstruments):
         return estimate
@@ -170,8 +175,9 @@ def untrusted_note(share: np.ndarray) -> tuple[str, ...]:
 def reduce_unexplained(
     z: np.ndarray, z_std: np.ndarray | None, share: np.ndarray | float
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return heights `z` (2, M) [m] times `share`, 0 to 1, one or (M,), and their standard
-    deviation, to which the part that is taken away counts.
+    """Return heights `z` (2, M) [m] times `share`, 0 to 1, and the standard deviation they leave.
+
+    The part that is taken away counts as error. `share` is a number or one per station (M,).
     """
     share = np.broadcast_to(share, z.shape)
     if z_std is None or not (share < 1.0).any():
@@ -182,7 +188,9 @@ def reduce_unexplained(
 def _simulate_sensors(
     inputs: ModelInputs, car: VehicleParameters, instruments: Instruments, z: np.ndarray
 ) -> np.ndarray:
-    """Return accelerations (k, N) [m/s²] on heights `z` (2, M) [m]; not finite once diverged."""
+    """Return accelerations (k, N) [m/s²] of the sensors on heights `z` (2, M) [m] at the profile
+    stations; not finite from where the motion diverges.
+    """
     plant = build_plant(car)
     locations = instruments.locations(car)
     rows, bending = linearise(plant, "ride", locations).sensor_rows, sensed_bending(car, locations)

@@ -45,7 +45,7 @@ class ModelInputs:
         return ModelInputs(self.h, self.decimation, self.s[half], self.v[half], commands, offset)
 
     def sample_steps(self, n_samples: int) -> np.ndarray:
-        """Return the steps (T,), which need not be whole, at which the samples are taken."""
+        """Return the step (T,), which need not be whole, at which each sample is taken."""
         even = self.decimation * np.arange(float(n_samples))
         return even if self.offset is None else even + self.offset[:n_samples]
 
@@ -57,8 +57,10 @@ def build_model_inputs(
     max_step: float,
     filtered: bool = False,
 ) -> ModelInputs:
-    """Return the inputs of a record, in steps of at most `max_step` [s], a whole number per sample,
-    earlier by the delay of the anti-alias filter unless the model has it (`filtered`).
+    """Return the inputs of a record, in steps of at most `max_step` [s], a whole number per sample.
+
+    The anti-alias filter delays the samples, so the model is driven earlier by as much. With
+    `filtered` the filter is a part of the model, and the samples are at their own times.
     """
     decimation = max(1, int(np.ceil(1.0 / (record.fs * max_step) - 1e-3)))
     h = 1.0 / (record.fs * decimation)
@@ -93,7 +95,9 @@ def antialias_delay(instruments: Instruments) -> float:
 
 
 def rest_state(car: VehicleParameters, inputs: ModelInputs) -> np.ndarray:
-    """Return the state (14,), (16,) with a flexible frame, at rest on level ground."""
+    """Return the state (14,) or, with a flexible frame, (16,) at rest on a level apron, but for
+    1e-7: exactly at rest the friction law has a kink and no tangent.
+    """
     plant = build_plant(car)  # 1e-7 beside it, as the friction law at rest has no tangent
     if car.tyre_static_deflection != "equilibrium":
         return np.full(2 * plant.n_dof, 1e-7)  # the paper's start, some millimetres off

@@ -39,8 +39,9 @@ def _block_means(t: np.ndarray, *signals: np.ndarray) -> np.ndarray:
 
 
 def wanders(t: np.ndarray, left: np.ndarray) -> bool:
-    """Return whether the differences `left` (N,) [m] of speed and fixes are errors of a receiver:
-    neither too small nor too large, nor constant, nor changing from sample to sample.
+    """Return whether the differences `left` (N,) [m] of speed and fixes are errors of a receiver.
+
+    They are too small or too large, constant, or change from sample to sample, where they are not.
     """
     return _WANDER < float(_block_means(t, left)[1].std()) < _MAX_WANDER
 
@@ -49,7 +50,9 @@ def fit_wander(
     t: np.ndarray, travelled: np.ndarray, s: np.ndarray
 ) -> tuple[float, float, float, float]:
     """Fit stations `s` (N,) [m], less the first, to the integral of the speed `travelled` (N,).
-    Return offset [m], relative excess of the true distance, its deviation, and the stations' [m].
+
+    Return offset [m] and relative excess of the true distance over that of the speed signal, with
+    its standard deviation, and that of the stations [m], root mean square along the drive.
     """
     times, x, y = _block_means(t, travelled, s - travelled)
     basis = np.stack([np.ones_like(x), x], axis=1)

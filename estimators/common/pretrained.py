@@ -1,9 +1,10 @@
 """Estimators trained over distance for all speeds and modes, which can be corrected for a vehicle.
 
-The error on a known road is regressed on the motions in a window, on the inputs of the last layer
-of a network, and on the estimate. The ridge draws the correction towards zero; it is chosen by
-cross-validation over fifths of the drives, infinite if none predicts any better. A correction is
-used in the state of the struts and near the speed at which it was found.
+The error of the trained estimator on a known road is regressed on the motions in a window, on the
+inputs of the last layer if it is a network, and on its estimate. The ridge draws the correction
+towards zero, that is towards the trained weights; it is chosen by cross-validation over fifths of
+the drives, and is infinite if no correction predicts any better. A correction is used in
+the state of the struts and near the speed at which it was found.
 """
 
 import abc
@@ -70,9 +71,11 @@ class TrainingExample(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """An `estimate` (2, M) of m and q [m], the standard deviation `std` (M,) [m] of both wheel
-    paths if it is known, and notes. Corrections are in the `unit` (M,) [m], motions in the
-    `motion_unit` [m/s²], one or (M,); `hidden` (2, C, M) is the input of a network's last layer.
+    """An `estimate` (2, M) of m and q [m], what corrections of it are computed from, the standard
+    deviation `std` (M,) [m] of both wheel paths if it is known, and notes.
+
+    Corrections are in the `unit` (M,) [m], motions in the `motion_unit` [m/s²], one or for each
+    station (M,); `hidden` (2, C, M) is what the last layer of a network multiplies.
     """
 
     estimate: np.ndarray
@@ -83,7 +86,10 @@ class Prediction(NamedTuple):
     notes: tuple[str, ...] = ()
 
     def features(self, signals: SpatialSignals, causal: bool) -> np.ndarray:
-        """Return features (2, p, M) of a correction, the estimate's short waves as the last."""
+        """Return the features (2, p, M) of a correction; the estimate's short waves are the last.
+
+        Those of m and of q are the same motions, since the vehicle's body may be asymmetric.
+        """
         ahead = STATIONS_AHEAD if causal else _CORRECTION_REACH
         windows = motion_windows(signals, _CORRECTION_REACH, ahead, causal)
         x = np.concatenate(list(windows), axis=1).T / self.motion_unit
@@ -132,12 +138,12 @@ class SpatialEstimator(Settings, abc.ABC):
 
     @abc.abstractmethod
     def predictor(self, car: VehicleParameters) -> Predictor:
-        """Return the function that estimates a drive of the vehicle. Raises NotFittedError."""
+        """Return what estimates a drive of the vehicle. Raises NotFittedError."""
 
     def training_example(
         self, record: Record, truth: Profile, rigid: bool = True
     ) -> TrainingExample:
-        """Return the training example of a drive. Raises RecordError."""
+        """Return what is kept of a drive for training. Raises RecordError."""
         return TrainingExample.of(record, truth, self.causal, rigid)
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
@@ -168,7 +174,9 @@ class SpatialEstimator(Settings, abc.ABC):
         return odometer.describe(Estimate(stations, z, z_std, notes))
 
     def _fitted_or_pretrained(self) -> Any:
-        """Return the state fitted, or shipped for the default settings. Raises NotFittedError."""
+        """Return the fitted state, or the one shipped for the default settings. Raises
+        NotFittedError.
+        """
         if self.fitted_state is not None:
             return self.fitted_state
         weights = load_pretrained(self.name) if self == type(self)() else None
@@ -197,8 +205,10 @@ def fit_corrections(
     drives: Sequence[CalibrationDrive], causal: bool, predict: Predictor
 ) -> tuple[VehicleCorrection, ...]:
     """Fit a correction of what `predict` returns to the measured roads of each condition among the
-    `drives`, by the short waves of its errors; of each that cross-validation finds better than
-    none. Raises RecordError, CalibrationError.
+    `drives`, by the short waves of its errors.
+
+    Corrections that cross-validation does not find better than none are left out. Raises
+    RecordError, CalibrationError.
     """
     found: list[VehicleCorrection] = []
     groups: dict[bytes, list[tuple[TrainingExample, str, Profile]]] = {}

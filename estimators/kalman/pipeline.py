@@ -1,4 +1,6 @@
-"""Setup of a run from a record; then the filter over all windows, or filter and smoother."""
+"""Course of an estimate: setup of the run from a record, then the filter (`forward.py`) over all
+windows or, in chunks of bounded memory, filter and smoother (`smoother.py`).
+"""
 
 from dataclasses import replace
 
@@ -41,8 +43,9 @@ def setup_run(
     level_ends: bool,
     lag: float,
 ) -> FilterRun:
-    """Return the run of a record before its first block. `noise_variance` [(m/s²)²] of a sample;
-    `level_ends`: of the road; `lag` [m] of `FilterRun`. Raises ValueError if the odometer jumps.
+    """Return the run of a record before its first block, for stations that are emitted when the
+    front axle is `lag` [m] past them. `noise_variance` [(m/s²)²] of a sample; with `level_ends`
+    the road is level before station 0 and after its end. Raises ValueError if the odometer jumps.
     """
     steps_per_block = measurements.sample_weight.shape[2] * model_inputs.decimation
     s, half_steps = model_inputs.s, 2 * steps_per_block
@@ -155,9 +158,9 @@ def _build_model(
 def setup_output(
     run: FilterRun, record: Record, sensor_latency: float, detrended: bool
 ) -> ProfileOutput:
-    """Return the stations of a record. Each is emitted once the front axle is the run's lag past it
-    and another `sensor_latency` [s] has been recorded; where the rear axle has passed it then, at
-    the last edge of a window before that.
+    """Return the stations of a record, with the block before which each is emitted: once the front
+    axle is the run's lag past the station and another `sensor_latency` [s] has been recorded. Where
+    the rear axle has passed it then, it is emitted at the last edge of a window before that.
     """
     s, lag = profile_stations(record.length), run.lag
     node = (s - run.origin) / TUNING.node_spacing

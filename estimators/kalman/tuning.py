@@ -1,6 +1,7 @@
-"""Tuned constants of the Kalman filters, set on simulated drives of the training vehicle.
+"""Tuned constants of the Kalman filters.
 
-They were on classes A to E, Belgian paving, bumps and potholes at 14.5 to 110 km/h, if not said.
+Unless a comment says otherwise they were set on simulated drives of the training vehicle, on roads
+of classes A to E, Belgian paving, bumps and potholes at 14.5 to 110 km/h.
 """
 
 from dataclasses import dataclass

@@ -6,9 +6,10 @@ road they are the measurement model of a random walk over distance, and the most
 its standard deviation, follows from normal equations (`road_posterior.py`). The distance between
 the axles is the only number that must be known of the vehicle.
 
-Responses belong to the states of the struts in which they were identified; a drive is estimated
-with those of the state that prevails in it. They hold for other speeds, since the delay between the
-axles is not part of them; friction does not, as its share depends on speed and roughness.
+Responses belong to the states of the struts in which they were identified. Those of several states
+are kept side by side, and a drive is estimated with those of the state that prevails in it. They
+hold for other speeds, since the delay between the axles is not part of them; friction does not, as
+its share depends on speed and roughness.
 
 Standard deviations are those of the posterior, times a factor that makes half and nine tenths of
 the errors on the calibration drives lie within the Gaussian bounds; each fifth of a drive is
@@ -67,8 +68,9 @@ _FAR_SPEED = 1.3  # factor between the speeds of calibration and drive from whic
 
 
 class _VehicleResponse(NamedTuple):
-    """Result of calibration drives in one `state` (4,): `responses`, mean `speed` [m/s], the factor
-    `std_factor` on standard deviations, and the in-band `error` over the road of segments left out.
+    """Result of calibration drives in one strut state: `responses`, `state` (4,) (stiff and high
+    damping in front, then at the rear), mean `speed` [m/s], the factor `std_factor` on standard
+    deviations, and the in-band `error` of segments estimated without themselves over their road.
     """
 
     responses: Responses
@@ -114,7 +116,8 @@ class CalibratedFir(Settings):
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
         """Identify the responses from the drives over measured roads, starting from those of `fit`
-        if there are any; others are not used. Raises RecordError, CalibrationError.
+        if there are any; drives over unmeasured roads are not used. Raises RecordError,
+        CalibrationError.
         """
         known = [drive for drive in drives if drive.profile is not None]
         if not known and self.fitted_state is None:
@@ -125,7 +128,9 @@ class CalibratedFir(Settings):
         return self._identify(known, car) if known else self
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Return the likeliest road and in-band deviation. Raises RecordError, NotFittedError."""
+        """Return the most probable road and its standard deviation in the scored band. Raises
+        RecordError, NotFittedError.
+        """
         model = require_fitted(self.fitted_state, self)
         record, notes = clean_record(record, None)
         odometer = calibrate_odometer(record)
@@ -154,8 +159,9 @@ class CalibratedFir(Settings):
         return odometer.describe(Estimate(stations, z, chosen.std_factor * z_std, notes))
 
     def summary(self) -> dict[str, Any]:
-        """Return axles and, of each strut state, mean speed, in-band error of segments not used and
-        gain of all wheels together on long waves, sensor by sensor. Raises NotFittedError.
+        """Return what the calibration gave: in each strut state the in-band error of segments that
+        it did not use, and the gain of all wheels together on long waves, sensor by sensor. Raises
+        NotFittedError.
         """
         model = require_fitted(self.fitted_state, self)
         return {
@@ -167,8 +173,8 @@ class CalibratedFir(Settings):
 
     def weights(self) -> dict[str, np.ndarray]:
         """Return `taps` (S, k, X, 2, N_TAPS), `ar` (S, AR_ORDER) and `innovation` (S, k, k) of S
-        strut states, `axles` (X,), and `about` (S, 7): state, speed, factor on standard deviations,
-        held-out error. Raises NotFittedError.
+        strut states, `axles` (X,), and `about` (S, 7): state, speed, factor on the standard
+        deviations, held-out error. Raises NotFittedError.
         """
         model = require_fitted(self.fitted_state, self)
         about = [[*x.state, x.speed, x.std_factor, x.error] for x in model.by_state]
@@ -237,7 +243,9 @@ def _identify_state(
 def _validate(
     found: IdentifiedResponses, drives: Sequence[CalibrationDrive], axles: np.ndarray
 ) -> tuple[float, float]:
-    """Return the factor on deviations and the in-band error over the road, on segments left out."""
+    """Return the factor on standard deviations that gives COVERAGE on segments that responses were
+    identified without, and the in-band RMS error over the RMS of the road there.
+    """
     ratios, square, power = [], 0.0, 0.0
     for drive in drives[:_VALIDATED]:
         record, profile = drive.record, cast(Profile, drive.profile)

@@ -50,8 +50,9 @@ def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) 
 
 
 def _independent_frequencies(u: np.ndarray) -> float:
-    """Return the number of independent frequencies of a road acceleration (N,) in F_BODY to F_C:
-    (sum of powers)² over the sum of squares, of the height's rate, white for a waviness of 2.
+    """Return the number of independent frequencies of a road acceleration (N,) between F_BODY and
+    F_C: (sum of powers)² over the sum of their squares, of its spectral lines. The rate of the
+    height is taken, which is white on a road with a waviness of 2.
     """
     f = np.fft.rfftfreq(u.size, 1.0 / RATE)
     inside = (f > F_BODY) & (f < F_C)
@@ -82,7 +83,7 @@ def check_responses(
 
 
 def _reason(drive: CalibrationDrive, axles: np.ndarray) -> str:
-    """Return the change that would make the profile fit, as the end of a sentence."""
+    """Return what would make the profile fit, as the end of a sentence."""
     profile = cast(Profile, drive.profile)
     tried = {"the profile is reversed": Profile(profile.s, profile.z[::-1, ::-1])}
     for shift in _SEARCHED:

@@ -9,9 +9,10 @@ dampers and masses, do not.
 
 The taps have a Gaussian prior with the covariance c lambda^max(i, i'), of smooth and decaying
 responses (the "TC kernel" of Chen, Ohlsson & Ljung, Automatica 48, 2012). Scale c, decay lambda and
-noise of each sensor are those of the largest marginal likelihood. The residual e, friction beside
-the sensors' noise, is modelled as autoregressive, equally for all sensors, with correlated
-innovations, and the taps are fitted again to signals whitened by this model.
+noise of each sensor are those of the largest marginal likelihood. The residual e holds friction and
+other nonlinearities beside the sensors' noise. It is modelled as autoregressive, equally for all
+sensors, with correlated innovations, and the taps are fitted again to signals whitened by this
+model.
 """
 
 from collections.abc import Sequence
@@ -42,8 +43,9 @@ _DriveData = tuple[np.ndarray, np.ndarray, np.ndarray]  # regressors (N, p), a (
 
 
 class RoadDrive(NamedTuple):
-    """Sensors `a` (k, N) [m/s²], road accelerations `u` (axles, 2, N) [m/s²], stations `s` (N,) [m]
-    of the first axle in a drive, and the `segment` (N,) of each sample, -1 where it is not used.
+    """Sensors `a` (k, N) [m/s²], road accelerations `u` (axles, 2, N) [m/s²] and stations `s` (N,)
+    [m] of the first axle in a drive, and the `segment` (N,) of each sample, -1 where it is not
+    used.
     """
 
     a: np.ndarray
@@ -53,7 +55,9 @@ class RoadDrive(NamedTuple):
 
     @classmethod
     def of(cls, record: Record, profile: Profile, axles: np.ndarray) -> "RoadDrive":
-        """Return a drive over a `profile`, used where all `axles` (X,) [m] are on it."""
+        """Return a drive over a known `profile`; `axles` (X,) [m] behind the first. Used are
+        samples with all axles on the profile. Its heights go on beyond its ends as they are there.
+        """
         t = sample_times(record)
         fine, s = fine_stations(record, t), np.interp(t, record.t, record.s)
         weights = acceleration_filter()
@@ -70,7 +74,9 @@ class RoadDrive(NamedTuple):
 
     @single_blas_thread()
     def quick_explained(self) -> np.ndarray:
-        """Return the shares (k,) of the sensors' power explained by responses of usual settings."""
+        """Return the shares (k,) of the sensors' power that responses of the usual size and decay
+        predict in segments that they were not identified in.
+        """
         parts = _segment_sums([(_stack_delays(self.u), self.a, self.segment)], np.ones(1))
         total = reduce(LeastSquaresSums.plus, parts)
         settings = [_first_guess(total, j) for j in range(len(self.a))]
@@ -78,8 +84,11 @@ class RoadDrive(NamedTuple):
 
 
 class Responses(NamedTuple):
-    """Responses and noise of one vehicle in one state: `taps` (k, axles, 2, N_TAPS) [-], `ar`
-    (AR_ORDER,) of the residual, and the covariance `innovation` (k, k) [(m/s²)²] at RATE.
+    """Responses and noise of the sensors of one vehicle in one state of its struts.
+
+    `taps` (k, axles, 2, N_TAPS) [-] by sensor, axle and wheel path; `ar` (AR_ORDER,): coefficients
+    of the residual's autoregression; `innovation` (k, k) [(m/s²)²]: covariance of its innovations
+    at RATE.
     """
 
     taps: np.ndarray
@@ -88,9 +97,11 @@ class Responses(NamedTuple):
 
     @property
     def long_wave_gain(self) -> np.ndarray:
-        """Motion of each sensor in phase with the road (k,), relative to it, at F_BODY: about 1 for
-        any vehicle on its springs, the real part of (1 + 2 i d x) / (1 - x² + 2 i d x) at its
-        resonance, x = 1, and far below. Drives do not determine the gain at zero frequency.
+        """Motion of each sensor in phase with the road (k,), relative to it, at F_BODY.
+
+        About 1 for any vehicle on its springs: that is the real part of
+        (1 + 2 i d x) / (1 - x² + 2 i d x) at its resonance, x = 1, and far below. Drives do not
+        determine the sum of the taps, the gain at zero frequency.
         """
         turn = np.exp(-2j * np.pi * F_BODY / RATE * np.arange(N_TAPS))
         return (self.taps.sum(axis=(1, 2)) @ turn).real
@@ -110,7 +121,10 @@ class IdentifiedResponses(NamedTuple):
     def identify(
         cls, drives: Sequence[RoadDrive], prior: np.ndarray | None = None
     ) -> "IdentifiedResponses":
-        """Identify a vehicle in a state; `prior` (k, axles, 2, N_TAPS): mean taps, else 0."""
+        """Identify the responses from drives of one vehicle in one state.
+
+        `prior` (k, axles, 2, N_TAPS): mean of the taps before these drives, by default 0.
+        """
         k, shape = len(drives[0].a), (*drives[0].u.shape[:2], N_TAPS)
         mean = np.zeros((k, int(np.prod(shape)))) if prior is None else prior.reshape(k, -1)
         stacked = [(drive, _stack_delays(drive.u)) for drive in drives]
@@ -200,7 +214,9 @@ def _kernel_factor(log_scale: float, decay: float) -> np.ndarray:
 
 
 def _posterior(sums: LeastSquaresSums, j: int, settings: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return negative log likelihood and mean taps (p,) of sensor `j` under `settings`."""
+    """Return the negative log marginal likelihood of sensor `j` and its taps' posterior mean (p,).
+    `settings`: log c, logit lambda, log of the noise variance.
+    """
     # `settings`: log c, logit lambda, log of the noise variance. Taps are F w with white w: M is
     # the Gram matrix of w, F' (X'X) F block by block of inputs
     F = _kernel_factor(settings[0], 1.0 / (1.0 + np.exp(-settings[1])))

@@ -20,9 +20,10 @@ from road_envs.vehicle.struts import MODES, Modes
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Signals `a` (k, M) [m/s²] at the stations `spacing * (first + i)` [m], i < M, `stride`
-    profile stations apart; `valid` (k, M) marks measured samples. `v` [m/s] is the speed, `mode`
-    the strut mode by wheel, `core` (2,) [m] the part of the road to be estimated.
+    """Signals `a` (k, M) [m/s²] at the stations `spacing * (first + i)` [m], i < M.
+
+    `stride` is the spacing in profile stations; `valid` (k, M) marks measured samples. `v` [m/s] is
+    the speed, `mode` the strut mode by wheel, `core` (2,) [m] the part of the road to be estimated.
     """
 
     a: np.ndarray
