@@ -82,9 +82,11 @@ def estimate(
 
 
 def friction_note(record: Record, car: VehicleParameters) -> tuple[str, ...]:
-    """Return a note where the accelerations are below _HELD times what dry friction passes on: four
-    struts that hold do so up to the sum of their friction peaks over the body's mass. Below, the
-    body follows the road on its tyres, and what a strut takes out of a wave does not show.
+    """Return a note where the accelerations are below _HELD times what dry friction passes on.
+
+    A strut slides once the force on it exceeds the peak of its friction. Four struts that hold pass
+    on accelerations of the body up to the sum of these peaks over its mass; below it the body
+    follows the road on its tyres, and what a strut would have taken out of a wave does not show.
     """
     low, high = friction_peaks(car)
     peaks = np.where(record.damper_high.mean(axis=0) > 0.5, high, low)

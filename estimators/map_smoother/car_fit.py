@@ -150,8 +150,10 @@ def fit_if_due(
 
 
 def can_show_vehicle(solution: MapSolution) -> bool:
-    """Return whether it may be the vehicle that is unexplained: not where the road is rough in
-    places or wheels fly, nor by sensors on an axle, whose waves are too short for the road's nodes.
+    """Return whether what a solution leaves unexplained, if anything, may be the vehicle.
+
+    On roads that are rough in places and under wheels in the air it is not the vehicle. Sensors on
+    an axle measure waves that are too short for the nodes of the road.
     """
     lin = solution.linearization
     if any(on_axle(one.source.model.locations) for one in lin.passes):

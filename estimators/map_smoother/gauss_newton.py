@@ -92,10 +92,13 @@ def minimize(
     start: np.ndarray | None = None,
     adapt_car: "Callable[[MapSolution, GaussNewton], MapSolution] | None" = None,
 ) -> MapSolution:
-    """Minimize the objective from a level road or `start` on; `adapt_car` returns the solution with
-    another vehicle where the descent has ended. A wrong vehicle looks like obstacles, and a prior
-    that is rough there confirms it. Where much is unexplained on a road rough in places, and always
-    where a road can explain all readings, one is sought that is equally rough everywhere, too.
+    """Minimize the objective from a level road or `start` on.
+
+    `adapt_car`, if given, returns the solution with another vehicle where the descent has ended.
+
+    What a wrong vehicle leaves is taken for obstacles as well, and a prior that is rough there
+    confirms it. Where much is unexplained on a road that is rough in places, it is therefore sought
+    on one that is equally rough everywhere, too; always where a road can explain all readings.
     """
     stationary = stationary_hessian(objective)
     found = _descend(objective, stationary, solver, start)
@@ -265,7 +268,9 @@ def _noise_scale(one: LinearizedPass, dof: float) -> float:
 
 
 def _estimate_frequency_weights(point: MapSolution) -> list[np.ndarray]:
-    """Weights (J // 2 + 1,) of each pass, by which the noise is as large as the residual."""
+    """Weight (J // 2 + 1,) of each frequency in each pass: noise as large as the residual is there,
+    but never less than that of the instruments.
+    """
     weights, lin = [], point.linearization
     for one, dof, scale in zip(lin.passes, point.effective_dof, point.noise_scale, strict=True):
         r = np.sqrt(one.source.information) * one.residual

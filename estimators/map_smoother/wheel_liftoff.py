@@ -2,19 +2,20 @@
 
 Where no wheel presses on the road, any lower road explains the measurements as well, and the prior
 alone should decide. But the minimization comes from a road that carries the wheel, where the
-tangent predicts that a lower road pulls the wheel down, so it has to go on from a lowered road:
+tangent predicts that a lower road pulls the wheel down, so no step leads on. The minimization
+therefore goes on from a lowered road:
 
 - a stationary road is straight wherever neither axle has pressed on it, which is the most probable
   road across a gap in a random walk;
 - among obstacles it is level there, as low as its lowest point or that of landing. A wheel lifts
-  off where the road falls faster than the wheel can: behind a bump to the height of landing, into a
-  hole at least as deep as the wheel fell.
+  off where the road falls faster than the wheel can, and a road of few edges has fallen before the
+  wheel has: behind a bump to the height of landing, into a hole at least as deep as the wheel fell.
 
-At the end the posterior there is one-sided (`road_below_light_wheels`): the road is anywhere
-between the estimate, where the wheel would have pressed on it, and the lowest that it can be. Among
-obstacles it is taken as uniform over this range R: below a lifted wheel R / 2 lower in the mean,
-with a standard deviation of R / sqrt(12) where a floor is not seen, and of `edge_std` R where an
-edge is not. The lowest is
+At the end the posterior there is one-sided: the road is no higher than estimated, where the wheel
+would have pressed on it, and anywhere between there and the lowest that it can be
+(`road_below_light_wheels`). Among obstacles its distribution over this range R is taken as uniform:
+below a lifted wheel it is R / 2 lower in the mean, with a standard deviation of R / sqrt(12) where
+a floor is not seen, and of `edge_std` R where an edge is not. The lowest is
 
 - the height of landing, if the road goes on from there: the wheel has landed on the floor;
 - the floor of the deepest hole that a road of so many holes may have, if the road rises at once:
@@ -25,7 +26,8 @@ Where the wheel is light but presses on the road, and on the nodes next to those
 begun: the road errs by as much there, but not in the mean. A stationary road errs as a random walk
 between known ends (a Brownian bridge), whose mean over m steps of variance s² has the variance
 m s² / 12. Where it had to be taken for even (`gauss_newton.minimize`), a wheel that flew where no
-such road falls flew off an obstacle, and the straight line is as probable as the height of landing.
+such road falls flew off an obstacle: the road behind is the straight line or the height of landing,
+one as probable as the other.
 """
 
 from typing import NamedTuple

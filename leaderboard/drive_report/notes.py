@@ -58,7 +58,9 @@ segments of such drives have 1.2 (`studies/few_sensors.py`).
 
 
 def misfits(estimate: Estimate, is_mean_path: bool) -> bool:
-    """Whether the model is far from reproducing the record."""
+    """Whether the model is far from reproducing the record. The mean path alone can explain any
+    record of its sensors, so what it leaves tells as soon as it is noted.
+    """
     # the mean path alone can explain any record of its sensors: what it leaves tells once noted
     return residual_of(estimate) >= (_NOTED_RESIDUAL if is_mean_path else LARGE_RESIDUAL)
 

@@ -1,4 +1,16 @@
-"""Choice of the reader of a file, by its content alone; zips of tables and tracks are read here."""
+"""Choice of the reader of a file: recognised by its content, without options.
+
+| file | reader |
+|---|---|
+| zip file or folder of phyphox | `phyphox.py` |
+| zip file or folder of Sensor Logger | `sensor_logger.py` |
+| zip file or folder of one table with three axes and one with the track | `formats.py` |
+| VBOX (`.vbo`) | `vbox.py` |
+| MCAP; bag of ROS 2, a folder or its file of SQLite | `ros.py` |
+| GPX, as a track beside another file | `gpx.py` |
+| JSON lines | `json_lines.py` |
+| text, Parquet, MDF4 | `road_envs/drives/logger_tables/table.py` |
+"""
 
 from collections.abc import Mapping
 from contextlib import suppress
