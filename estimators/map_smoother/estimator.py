@@ -48,9 +48,11 @@ from road_envs.vehicle.tolerances import has_absent_elements
 
 @dataclass(frozen=True, kw_only=True)
 class MapSmoother(CalibratedByIdentification, SolverSettings):
-    """Estimator of the maximum a posteriori road, with the settings of the solver; `draws`: samples
-    of the posterior for the standard deviation, 0 for none; `adapt`: where the unexplained noise
-    says that the vehicle differs, and its file gives tolerances, it is fitted (`car_fit.py`).
+    """Most probable road under the full nonlinear vehicle, fitted to the drive where that shows.
+
+    With the settings of the solver. `draws`: samples of the posterior for the standard deviation, 0
+    for none. `adapt`: where the unexplained noise says that the vehicle differs, and its file gives
+    tolerances, the parameters are fitted to the drive (`car_fit.py`).
     """
 
     causal: ClassVar[bool] = False

@@ -22,8 +22,9 @@ FREQUENCIES = np.geomspace(0.2, 50.0, 400)  # [Hz] over which the acceleration i
 
 @dataclass(kw_only=True)
 class GreedyInformation(Settings):
-    """Policy that minimises expected comfort [m/s²] + `weight` x unresolved share of variance, on a
-    class-D road at the first measured speed.
+    """Policy that minimises expected comfort [m/s²] + `weight` x unresolved share of variance.
+
+    The costs are those of a class-D road at the first measured speed.
     """
 
     weight: Annotated[NonNegative, "m/s²", "of the unresolved share of variance"] = 100.0

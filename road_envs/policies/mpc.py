@@ -43,7 +43,10 @@ SMALL_EXTENSION = 0.01  # extension [m] over which the rate of a strut's spring 
 
 @dataclass(kw_only=True)
 class ModelPredictive(Settings):
-    """Policy of the pair of states with the least predicted cost; observes "planar", "struts"."""
+    """Policy that predicts the cost of every pair of states and takes the best one.
+
+    Needs the observation groups "planar" and "struts".
+    """
 
     pairs: tuple[tuple[Mode, Mode], ...] = (
         ("ride", "ride"), ("ride", "handling"), ("stiff_low", "handling"), ("handling", "handling"),
