@@ -247,7 +247,7 @@ class Tcn(_SequenceEstimator):
 
 @dataclass(frozen=True, kw_only=True)
 class TcnCausal(Tcn):
-    """Convolutional network over stations; causal: uses the drive until LAG beyond the station."""
+    """Convolutional network over stations, which reads up to 4.79 m beyond each."""
 
     name: ClassVar[str] = "tcn_causal"
     causal: ClassVar[bool] = True
@@ -271,7 +271,7 @@ class Gru(_SequenceEstimator):
 
 @dataclass(frozen=True, kw_only=True)
 class GruCausal(Gru):
-    """Recurrent network over stations; causal: uses the drive until LAG beyond the station."""
+    """Recurrent network over stations, which reads up to 4.79 m beyond each."""
 
     name: ClassVar[str] = "gru_causal"
     causal: ClassVar[bool] = True

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from leaderboard.commands import YAML, check_output_path, parse_mode, parse_pairs
-from leaderboard.commands.options import argument, option
+from leaderboard.commands.options import MODE_NAMES, SENSORS, VEHICLE, argument, option
 from leaderboard.drive_report.drive_estimates import with_doubts
 from road_envs.core.config import ConfigError
 from road_envs.drives import reading
@@ -22,7 +22,7 @@ RecordFiles = Annotated[list[Path], argument(f"Drives over one road, each {KINDS
 class DriveOptions:
     """Options of a command that describe a drive; None is left to its description or file."""
 
-    vehicle: Annotated[str | None, option("Vehicle: shipped name or YAML path.")] = None
+    vehicle: Annotated[str | None, VEHICLE] = None
     at: Annotated[
         str | None,
         option(
@@ -33,10 +33,8 @@ class DriveOptions:
     track: Annotated[
         Path | None, option("GPX file or table with speed or positions of the drive.")
     ] = None
-    sensors: Annotated[str | None, option("Instruments: shipped name or YAML path.")] = None
-    mode: Annotated[
-        str | None, option("Mode of the struts: ride, handling, ..., or front=..,rear=..; passive")
-    ] = None
+    sensors: Annotated[str | None, SENSORS] = None
+    mode: Annotated[str | None, option(MODE_NAMES)] = None
     speed_kmh: Annotated[float | None, option("Speed of the drive in km/h.", min=0.1)] = None
     columns: Annotated[
         str | None,

@@ -32,17 +32,14 @@ Road = Annotated[
     ),
 ]
 Speed = Annotated[float, option("Speed in km/h.")]
-Mode = Annotated[
-    str | None,
-    option(
-        f"Mode of the struts: {', '.join([*MODES, *PASSIVE_MODES])}, or "
-        "front=MODE,rear=MODE. Default: the vehicle's first."
-    ),
-]
+MODE_NAMES = f"Mode of the struts: {', '.join([*MODES, *PASSIVE_MODES])}, or front=MODE,rear=MODE."
+Mode = Annotated[str | None, option(f"{MODE_NAMES} Default: the vehicle's first.")]
 Length = Annotated[float | None, option("Another length of the road in metres.")]
 Seed = Annotated[int, option("Seed of the road, and of the sensors' noise.", min=0)]
-Vehicle = Annotated[str, option(f"Vehicle: {', '.join(names('vehicles'))}, or a YAML path.")]
-Sensors = Annotated[str, option(f"Instruments: {', '.join(names('sensors'))}, or a YAML path.")]
+VEHICLE = option(f"Vehicle: {', '.join(names('vehicles'))}, or a YAML path.")
+SENSORS = option(f"Instruments: {', '.join(names('sensors'))}, or a YAML path.")
+Vehicle = Annotated[str, VEHICLE]
+Sensors = Annotated[str, SENSORS]
 Settings = Annotated[list[str] | None, option("Setting, key=value; may be given again.", "--set")]
 KnownRoads = Annotated[
     list[str] | None,

@@ -14,6 +14,7 @@ from leaderboard.drive_report.export import parse_route
 from leaderboard.drive_report.known_iri import read_known_iri
 from leaderboard.drive_report.report import ReportSettings, make_report, write_report
 from leaderboard.drive_report.sections import KEPT, Sections
+from road_envs.core.config import names
 from road_envs.drives.logger_tables.description import write_description
 
 
@@ -26,7 +27,9 @@ def report(
         bool, option("Fit no vehicle to the drives: wider intervals, sooner.", "--fast")
     ] = False,
     segment: Annotated[float, option("Length of a segment in m: 10, 20 or 100.")] = 100.0,
-    conditions: Annotated[str, option("Condition categories: shipped name or YAML path.")] = "hpms",
+    conditions: Annotated[
+        str, option(f"Condition categories: {', '.join(names('conditions'))}, or a YAML path.")
+    ] = "hpms",
     known_iri: Annotated[
         str | None,
         option(

@@ -179,11 +179,15 @@ class RoadReconEnv(gymnasium.Env):
             raise gymnasium.error.ResetNeeded("call reset before render")
         from road_envs.rendering import Scene, render_frame
 
-        samples = np.concatenate(self._history, axis=1)
-        fs, scale = self.setup.instruments.fs, self.setup.options.exaggeration
-        motion = self.fleet.last_interval(0, self._command_byte)
-        names = tuple(self.setup.instruments.accelerometers)
-        scene = Scene.from_drive(self.drive, motion, samples, fs, RENDERED_HISTORY, scale, names)
+        scene = Scene.from_drive(
+            self.drive,
+            self.fleet.last_interval(0, self._command_byte),
+            samples=np.concatenate(self._history, axis=1),
+            fs=self.setup.instruments.fs,
+            window=RENDERED_HISTORY,
+            exaggeration=self.setup.options.exaggeration,
+            sensors=tuple(self.setup.instruments.accelerometers),
+        )
         return render_frame(scene)
 
     @property

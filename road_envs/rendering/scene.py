@@ -33,11 +33,6 @@ class Scene:
     `damper_high` (4,) the valve states, `command` the last command byte.
     """
 
-    samples: np.ndarray
-    fs: float
-    window: float
-    exaggeration: float
-    sensors: tuple[str, ...]
     car: VehicleParameters
     surface: Surface
     t: float
@@ -49,15 +44,20 @@ class Scene:
     spring_stiff: np.ndarray
     damper_high: np.ndarray
     command: int
+    samples: np.ndarray
+    fs: float
+    window: float
+    exaggeration: float
+    sensors: tuple[str, ...]
 
     @classmethod
-    def from_drive(cls, drive: DriveSimulator, trajectory: Trajectory, *shown: Any) -> "Scene":
+    def from_drive(cls, drive: DriveSimulator, trajectory: Trajectory, **shown: Any) -> "Scene":
         """Return the scene at the end of `trajectory`, the latest one of `drive`.
 
-        `shown` are the first five fields.
+        `shown` are the fields `samples`, `fs`, `window`, `exaggeration` and `sensors`.
         """
         return cls(
-            *shown,
+            **shown,
             car=drive.car,
             surface=drive.surface,
             t=float(trajectory.t[-1]),

@@ -31,7 +31,8 @@ from pydantic import Field
 from road_envs.core.config import Count, Finite, NonNegative, Positive, Settings, SmallestFirst
 from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, SampleSpacing, Surface, check_size
 
-LAYOUTS: dict[str, tuple[tuple[str, str], ...]] = {
+Layout = Literal["small", "large_small", "asymmetric"]
+LAYOUTS: dict[Layout, tuple[tuple[str, str], ...]] = {
     "small": (("small", "both"),),
     "large_small": (("large", "both"), ("small", "both")),
     "asymmetric": (("large", "left"), ("small", "right")),
@@ -60,9 +61,7 @@ class _Trapezoid(Settings):
 class Bumps(Settings):
     """Bumps on a level road, with level sections `run_in` and `run_out`."""
 
-    layout: Annotated[
-        Literal["small", "large_small", "asymmetric"], "", "sizes and wheel paths of the bumps"
-    ]
+    layout: Annotated[Layout, "", "sizes and wheel paths of the bumps"]
     spacing: Annotated[Positive, "m", "between the middles of successive bumps"] = 10.4
     small: _Trapezoid = field(default_factory=lambda: _Trapezoid(height=0.1, ramp=0.5, top=0.4))
     large: _Trapezoid = field(default_factory=lambda: _Trapezoid(height=0.15, ramp=0.75, top=0.6))

@@ -172,12 +172,12 @@ ERRORS = {
         lambda: Path("d.csv").write_bytes(b"PK\x03\x04" + bytes(range(256))), CLASSIFY,
         "a damaged zip file"),
     "UTF-16 without its mark": (
-        lambda: text(lambda t: t.encode("utf-16-le")), CLASSIFY, "it has zero bytes: no text in"),
+        lambda: text(lambda t: t.encode("utf-16-le")), CLASSIFY, "others of no text in UTF-8"),
     "a line that is cut off": (
         lambda: text(lambda t: t[:-30].encode()), CLASSIFY, "Expected 7 columns, got"),
     "no headers": (
         lambda: text(lambda t: t.partition("\n")[2].encode()), CLASSIFY, "the column t is missing"),
-    "an empty file": (lambda: Path("d.csv").write_bytes(b""), CLASSIFY, "Empty CSV file"),
+    "an empty file": (lambda: Path("d.csv").write_bytes(b""), CLASSIFY, "it has no rows"),
     "options for a record that has them": (
         record, ("classify", "d.parquet", "--units", "a_rf=g"), "leave out --units"),
 }  # fmt: skip

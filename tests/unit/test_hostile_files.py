@@ -102,7 +102,7 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):
 
 HEAD = ",".join(DRIVE)
 CSV_FILES = {
-    "no rows": (lambda text: HEAD, "Empty CSV file"),
+    "no rows": (lambda text: HEAD, "it has no rows"),
     "one column": (lambda text: "t\n1\n2\n", "the column a_rf is missing"),
     "many columns": (lambda text: ",".join(map(str, range(9999))), "9999 columns; at most 4096"),
     "long header": (lambda text: text.replace("v", "v" * 999, 1), "a header of 999 characters"),
@@ -118,6 +118,7 @@ CSV_FILES = {
     "open quote": (lambda text: text.replace("ride", '"ride', 1), "unknown suspension mode 'ride"),
     "zero byte": (lambda text: text.replace("0.1,", "0.\0001,", 1), "it has zero bytes"),
     "UTF-16 without mark": (lambda text: text.encode("utf-16-be"), "it has zero bytes"),
+    "no text": (lambda text: b"\x81\x9d" + text.encode(), "or others of no text in UTF-8"),
     "Windows-1252": (lambda text: text.replace("a_rf", "a\u00e9").encode("latin-1"), "has t, aé"),
     "comments": (lambda text: "#\n" * 400_000 + text, None),
     "UTF-16": (lambda text: text.encode("utf-16"), None),

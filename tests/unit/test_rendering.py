@@ -42,8 +42,8 @@ def scene(road="flat", seconds=0.05, mode="ride", **changes):
     surface = load_road(road).realise(np.random.default_rng(0))
     drive = DriveSimulator(build_plant(CAR), CAR, surface, 10.0, mode)
     trajectory = drive.advance(np.full(round(1000 * seconds), encode_command(mode), dtype=np.uint8))
-    view = np.zeros((3, 50)), 1000.0, 4.0, 1.0, SENSORS
-    default = Scene.from_drive(drive, trajectory, *view)
+    view = {"samples": np.zeros((3, 50)), "fs": 1000.0, "window": 4.0, "exaggeration": 1.0}
+    default = Scene.from_drive(drive, trajectory, sensors=SENSORS, **view)
     return dataclasses.replace(default, **changes)
 
 

@@ -11,6 +11,7 @@ import itertools
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -113,10 +114,6 @@ def parse_text(data: bytes) -> Any:
     from pyarrow import csv
 
     text = decode(data).replace("\r\n", "\n").replace("\r", "\n")
-    if "\0" in text:
-        raise ValueError(
-            "it has zero bytes: no text in UTF-8, UTF-16 with its mark, or Windows-1252"
-        )
     head, delimiter, rest = _find_header(text)
     names = [cell.strip().strip('"') for cell in head.split(delimiter)]
     _check_headers(names)
@@ -127,6 +124,8 @@ def parse_text(data: bytes) -> Any:
     if len(cells) == len(names) and given and given <= known:
         pairs = zip(names, cells, strict=True)
         names, rest = [f"{name} [{unit}]" if unit else name for name, unit in pairs], below
+    if not rest.strip():
+        raise ValueError("it has no rows")
     comma = delimiter != "," and re.search(r"\d,\d", rest[:SNIFFED_CHARACTERS]) is not None
     return csv.read_csv(
         io.BytesIO(rest.encode()),
@@ -175,13 +174,16 @@ def _cells(line: str, mark: str) -> int:
 def decode(data: bytes) -> str:
     """Return the text of a file in UTF-8, UTF-16 with its mark, or else Windows-1252.
 
-    Raises ConfigError for a spreadsheet or an archive, UnicodeDecodeError.
+    Raises ConfigError for a spreadsheet or an archive, ValueError if it is no text.
     """
     if data[:4] in SPREADSHEETS:
         raise ConfigError("a spreadsheet or an archive: save its sheet as CSV")
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return data.decode("utf-16")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("cp1252")
+    has_mark = data[:2] in (b"\xff\xfe", b"\xfe\xff")
+    for code in ["utf-16"] if has_mark else ["utf-8-sig", "cp1252"]:
+        with suppress(UnicodeDecodeError):
+            text = data.decode(code)
+            if "\0" not in text:
+                return text
+    raise ValueError(
+        "it has zero bytes or others of no text in UTF-8, UTF-16 with its mark, or Windows-1252"
+    )
