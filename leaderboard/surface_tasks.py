@@ -27,10 +27,8 @@ _LEVEL_RANGE = 1e-6  # range [m] of heights about their line below which a surfa
 _MAX_LENGTH = 300.0  # only this length [m] from the start of a longer surface is driven
 _CAR = "land_rover_defender_110"
 _MODES = ("ride", "handling", {"front": "ride", "rear": "handling"})
-_SPEEDS_KMH = (14.5, 10.0, 7.0, 5.0)
-"""Speeds [km/h] of which the highest is driven at which all wheels stay on the ground."""
-_MAX_LIFTED_TIME = 0.001
-"""Share of the time for which a wheel may be off the ground where wheels count as staying down."""
+_SPEEDS_KMH = (14.5, 10.0, 7.0, 5.0)  # driven is the highest at which wheels stay on the ground
+_MAX_LIFTED_TIME = 0.001  # share of the time off the ground where wheels count as staying down
 _SEEDS = (1, 2, 3, 4, 5)
 
 

@@ -1,7 +1,6 @@
 """Commands that write something to begin with: `new-estimator`, `new-policy`, `new-vehicle`.
 
-The examples in `leaderboard/templates` work and are meant to be replaced: double integration of the
-body's accelerations, a regression that learns, and a policy that switches in corners.
+The examples in `leaderboard/templates` work and are meant to be replaced.
 """
 
 import keyword
