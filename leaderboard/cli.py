@@ -21,9 +21,7 @@ from typer.core import TyperCommand, TyperGroup
 from road_envs import __version__
 
 Sections = Mapping[str, Mapping[str, str | type]]
-"""Commands by name, by heading of the help: "module:function" of `leaderboard.commands`, or a
-_LazyGroup.
-"""
+"""By heading of the help and name: "module:function" of `leaderboard.commands`, or a group."""
 
 OPTION_SECTIONS = {
     "Drive": ("road", "speed_kmh", "mode", "length", "vehicle", "sensors", "grade"),
@@ -45,7 +43,6 @@ class _SectionedCommand(TyperCommand):
     """A command whose options are listed in the sections of OPTION_SECTIONS."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the sections."""
         sections: dict[str, list[Any]] = {x: [] for x in ("Arguments", "Options", *OPTION_SECTIONS)}
         for parameter in self.get_params(ctx):
             if (record := parameter.get_help_record(ctx)) is not None:
@@ -73,7 +70,6 @@ class _LazyGroup(TyperGroup):
         return _build(name, self.commands[name]) if name in self.commands else None
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the commands by section."""
         for title, entries in self.sections.items():
             with formatter.section(title):
                 formatter.write_dl([(name, _help_line(target)) for name, target in entries.items()])
@@ -112,10 +108,7 @@ def _build(name: str, target: str | type) -> Any:
 
 
 def _new_app(**settings: Any) -> typer.Typer:
-    """Return a Typer app without completion, markup and decorated tracebacks.
-
-    Help texts have brackets, as in units [m] and extras road-envs[dask], which markup would eat.
-    """
+    """Return an app whose help texts keep brackets, as in units [m], which markup would eat."""
     return typer.Typer(
         add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, **settings
     )
@@ -224,8 +217,7 @@ def main() -> None:
     raise SystemExit(status or 0)
 
 
-_USAGE_ERROR: Any = typer.BadParameter.__mro__[1]
-"""Class of errors in the words of a command line, which Typer does not export."""
+_USAGE_ERROR: Any = typer.BadParameter.__mro__[1]  # of a command line's words; Typer hides it
 
 _PARSER_WORDS = (
     (r"Input should be a valid integer.*|.* is not a valid int.*", "must be a whole number"),

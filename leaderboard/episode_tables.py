@@ -16,7 +16,6 @@ from road_envs.policies import make_policy
 from road_envs.policies.rollout import roll_out
 
 _ENVIRONMENT = "RoadRecon-v0"
-_NAMESPACE = "roadrecon"
 _OPTIONS = {"observe": ("accelerations", "planar", "struts"), "control": "states"}
 """Options of the environment: all that a policy may use, and all states of both axles."""
 
@@ -58,7 +57,7 @@ def write_episodes(
             )  # fmt: skip
             buffers.append(episode)
             returns.append(float(rollout.returns[k]))
-    identifier = f"{_NAMESPACE}/{name}-v0"
+    identifier = f"roadrecon/{name}-v0"
     env = gymnasium.make(_ENVIRONMENT, **options)
     with _datasets_in(folder), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of an address and links that are left out
@@ -75,7 +74,6 @@ def write_episodes(
 
 @contextmanager
 def _datasets_in(folder: Path) -> Iterator[None]:
-    """Let Minari write into `folder`."""
     before = os.environ.get(DATASETS_PATH)
     os.environ[DATASETS_PATH] = str(folder.resolve())
     try:

@@ -26,8 +26,7 @@ from road_envs.roads import Surface, realise_road
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.parameters import load_vehicle
 
-SAME_HEIGHT = 1e-5
-"""Largest difference [m] of the heights of one road, which machines round in their own ways."""
+SAME_HEIGHT = 1e-5  # most [m] that heights of one road differ by, as machines round differently
 
 
 def kept_path(plant: str, car: str, road: str, speed_kmh: float, seed: int) -> Path:

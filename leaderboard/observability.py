@@ -65,8 +65,7 @@ def bounds_by_state(
             f"sensors of {sensors} have noise of their own; what is attainable is computed for one "
             "noise of all: give it in (m/s²)/sqrt(Hz) (--noise), or leave out --attainable"
         )
-    # fails before anything is computed
-    chosen = [_damping_by_strut(dampers, mode, car) for mode in modes]
+    chosen = [_damping_by_strut(dampers, mode, car) for mode in modes]  # fails before all else
     rows: list[dict[str, Any]] = []
     curves: list[_Curve] = []
     jobs = [(*pair, speed) for pair in zip(modes, chosen, strict=True) for speed in speeds_kmh]

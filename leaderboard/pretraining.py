@@ -25,7 +25,6 @@ from road_envs.core.config import ConfigError
 from road_envs.drives.training_corpus import Corpus, drives_in_mode
 from road_envs.records.record import Record
 
-_Progress = Callable[[str, float], None]
 _SIMULATION_SHARE = 0.15  # of the run time, for the progress bar
 _CALIBRATION_SHARE = 0.3  # drives of the nominal vehicle for deviations, per training drive
 _N_DRIVES, _SPEED_MARGIN = 60, 1.5  # of the regression on RMS; factor around the speeds of a record
@@ -46,12 +45,7 @@ class _FileCheckpoint:
         return None
 
     def save(self, state: Mapping[str, np.ndarray]) -> None:
-        """Store a state atomically."""
         pretrained_weights.write_weights(self.path, state, {"run": self.digest})
-
-    def done(self) -> None:
-        """Delete the checkpoint."""
-        self.path.unlink(missing_ok=True)
 
 
 def _run_digest(estimator: Pretrained, name: str, corpus: Corpus, seed: int) -> str:
@@ -71,7 +65,7 @@ def train(
     seed: int,
     out: Path,
     command: str,
-    progress: _Progress = lambda text, share: None,
+    progress: Callable[[str, float], None] = lambda text, share: None,
 ) -> Pretrained:
     """Pretrain `estimator`, which is called `name`, and write it to `out` (.safetensors).
 
@@ -103,7 +97,7 @@ def train(
         trained = trained.calibrate_deviations(drives)
     metadata = {"command": command, "seed": str(seed), "corpus": corpus.digest, "digest": digest}
     weights_io.save(trained, out, metadata)
-    checkpoint.done()
+    checkpoint.path.unlink(missing_ok=True)
     return trained
 
 

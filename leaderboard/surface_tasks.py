@@ -27,21 +27,18 @@ _LEVEL_RANGE = 1e-6  # range [m] of heights about their line below which a surfa
 _MAX_LENGTH = 300.0  # only this length [m] from the start of a longer surface is driven
 _CAR = "land_rover_defender_110"
 _MODES = ("ride", "handling", {"front": "ride", "rear": "handling"})
-_SPEEDS_KMH = (14.5, 10.0, 7.0, 5.0)
-"""Speeds [km/h] of which the highest is driven at which all wheels stay on the ground."""
-_MAX_LIFTED_TIME = 0.001
-"""Share of the time for which a wheel may be off the ground where wheels count as staying down."""
+_SPEEDS_KMH = (14.5, 10.0, 7.0, 5.0)  # driven is the highest at which wheels stay on the ground
+_MAX_LIFTED_TIME = 0.001  # share of the time off the ground where wheels count as staying down
 _SEEDS = (1, 2, 3, 4, 5)
 
 
 def surface_tasks(path: Path) -> list[Task]:
     """Return two tasks on one file: trained on altered copies of it, and on roads of its class.
 
-    The class is computed from the file, which is information that no estimator would have on the
-    road; title and note of the task say so. The note says how much of the file is driven, and at
-    what speed: the highest of _SPEEDS_KMH at which the wheels stay on the ground. Where they do not
-    at any, the tasks have no bound, since there is nothing to be learnt of a road below wheels in
-    the air. Raises ConfigError, which names the file, if it cannot be used.
+    The class is computed from the file, which no estimator would have on the road; title and note
+    say so, and how much of the file is driven, at the highest of _SPEEDS_KMH at which the wheels
+    stay on the ground. Where they do not at any, the tasks have no bound: of a road below wheels in
+    the air nothing is learnt. Raises ConfigError, which names the file, if it cannot be used.
     """
     native = load_road(path).length
     length = min(max(native, _MIN_LENGTH), _MAX_LENGTH)
@@ -94,10 +91,7 @@ def surface_tasks(path: Path) -> list[Task]:
 
 
 def _choose_speed(surface: Surface) -> tuple[float, float]:
-    """Return the speed [km/h] of the drives, and the share of time with a wheel in the air.
-
-    The share is the largest over _MODES. Raises SimulationError if no speed can be driven.
-    """
+    """Return the speed [km/h] of the drives, and the most time [-] with a wheel in the air."""
     car = load_vehicle(_CAR)
     for speed in _SPEEDS_KMH:
         try:
@@ -134,10 +128,7 @@ def _uneven_paths(surface: Surface) -> np.ndarray:
 
 
 def _surface_class(surface: Surface) -> str:
-    """Return the ISO 8608 class of the rougher wheel path in the scored band of 1 m/s, w = 2.
-
-    Raises ValueError if the surface is too short or too coarse for one.
-    """
+    """Return the ISO 8608 class of the rougher wheel path in the scored band of 1 m/s, w = 2."""
     z = surface.height(profile_stations(surface.length))[_uneven_paths(surface)]
     n, G = smooth_psd(*displacement_psd(z, PROFILE_SPACING))
     band = scored_band(1.0)

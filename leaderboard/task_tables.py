@@ -31,7 +31,7 @@ _STATION_TOLERANCE = 1e-6  # largest difference [m] of a station from that of th
 _CARD = Path(__file__).parent / "templates" / "task_card.txt"
 
 
-def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = None) -> list[Path]:
+def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = None) -> None:
     """Write the drives of a task into `folder` as tables of the `form` csv or parquet.
 
     `roads` is that of `load_task`, for the card. Raises MissingExtraError without pandas, and
@@ -60,12 +60,10 @@ def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = No
             tables["drives"].append(pd.DataFrame(about))
             tables[f"{split}_records"].append(pd.DataFrame({"drive": k, **signals}))
             tables[f"{split}_profiles"].append(pd.DataFrame({"drive": k, **heights, **own}))
-    written = []
     for name, parts in tables.items():
         path = folder / f"{name}.{form}"
         table = pd.concat(parts, ignore_index=True)
         table.to_parquet(path) if form == "parquet" else table.to_csv(path, index=False)
-        written.append(path)
     card = _CARD.read_text(encoding="utf-8").format(
         name=task.name, training=len(task.training), test=len(task.test), form=form,
         tables=(__doc__ or "").split("\n\n")[1], version=__version__,
@@ -73,7 +71,6 @@ def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = No
     )  # fmt: skip
     write_text(folder / "README.md", card)
     write_text(folder / "vehicle.json", json.dumps(task.vehicle, indent=1, default=str) + "\n")
-    return [*written, folder / "README.md", folder / "vehicle.json"]
 
 
 def score_file(task: TaskArrays, path: Path) -> ScoreTable:
@@ -112,15 +109,11 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
     heights, std = [], []
     for k, drive in enumerate(task.test, start=1):
         rows = values["drive"] == k
-        stations = values["station"][rows]
-        right = drive["stations"]
-        if (
-            stations.shape != right.shape
-            or not np.abs(stations - right).max() <= _STATION_TOLERANCE
-        ):
+        given, right = values["station"][rows], drive["stations"]
+        if given.shape != right.shape or not np.abs(given - right).max() <= _STATION_TOLERANCE:
             raise ConfigError(
                 f"{path}: test drive {k} needs its {right.size} stations, 0 to {right[-1]:g} m, "
-                f"in order and to {_STATION_TOLERANCE:g} m; got {stations.size}"
+                f"in order and to {_STATION_TOLERANCE:g} m; got {given.size}"
             )
         heights.append(np.stack([values[name][rows] for name in _SIDES]))
         std.append(np.stack([values[name][rows] for name in deviations]) if deviations else None)

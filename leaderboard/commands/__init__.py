@@ -58,14 +58,10 @@ def find_from_here(references: Iterable[str]) -> None:
 
 
 def import_from_here(reference: str) -> None:
-    """Import the module of a `reference` "module:Class" also from this folder, in this process.
-
-    After all that is installed: else a file beside an entry could take the place of a module of
-    this program.
-    """
+    """Import the module of a `reference` "module:Class" also from this folder, in this process."""
     find_from_here([reference])
     if ":" in reference and os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())
+        sys.path.append(os.getcwd())  # last: a file here takes the place of no installed module
 
 
 def check_output_path(path: Path | None, *suffixes: str) -> None:
@@ -132,8 +128,7 @@ LINE_INTERVAL = 10.0  # time [s] between two lines of progress without a termina
 def _time_left(clock: Callable[[], float] = time.monotonic) -> Callable[[float], str]:
     """Return a function of the share done that tells the time left as ", about 40 s left", if any.
 
-    The rest is taken to be as fast as what is done since the last update with the first share:
-    neither stored results nor what was prepared before count.
+    It counts from the last update with the first share: without stored results and preparation.
     """
     begin, first_share = clock(), math.inf
 

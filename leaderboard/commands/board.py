@@ -168,9 +168,7 @@ def _tasks(
         raise ConfigError("give only one of --task, --board and --road")
     if roads:
         return [task for road in roads for task in surface_tasks(road)]
-    boards = [name.replace("-", "_") for name in boards or []]
-    for name in boards:
-        validate_choice("board", name, names("boards"))
+    boards = [validate_choice("board", x.replace("-", "_"), names("boards")) for x in boards or ()]
     if "measured" in boards:
         raise ConfigError("the board of measured surfaces needs files: give them with --road")
     if tasks:

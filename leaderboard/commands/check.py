@@ -44,7 +44,7 @@ def check_estimator(
         results = list(check_entry(entry, sandbox, of_board))
     missing = missing_packages(Path(estimator)) if entry.failure is None else []
     results = [*(CheckResult("packages", False, sentence) for sentence in missing), *results]
-    return _checks_output("estimator", entry.name, results, _summarize(results))
+    return _checks_output("estimator", entry.name, results, "ready for a board")
 
 
 def check_policy(
@@ -62,26 +62,20 @@ def check_policy(
     isolation = policy_isolation(policy, limits.isolation)
     own = dataclasses.replace(limits.parse(), isolation=isolation)
     results = run_policy_checks(policy, parse_settings(settings), own)
-    failed = ", ".join(result.name for result in results if result.passed is False)
-    verdict = f"not ready for a comparison: {failed}" if failed else "ready"
-    return _checks_output("policy", policy, results, verdict)
+    return _checks_output("policy", policy, results, "ready for a comparison")
 
 
-def _checks_output(kind: str, name: str, results: Sequence[CheckResult], summary: str) -> Output:
-    """Return a line for each check of what is named, and one for all."""
-    passed = not any(result.passed is False for result in results)
+def _checks_output(kind: str, name: str, results: Sequence[CheckResult], ready: str) -> Output:
+    """Return a line for each check of what is named, and one for all: whether it is `ready`."""
+    failed = [result.name for result in results if result.passed is False]
+    summary = f"not {ready}: {', '.join(failed)}"
+    if not failed:
+        summary = "ready" if kind == "policy" else ready
+    elif kind == "estimator" and set(failed) <= set(PROBES):  # a board has it nevertheless
+        summary = f"{ready}, which will show the failed probes {', '.join(failed)}"
     checks = [dataclasses.asdict(result) for result in results]
     table = Table.grid(padding=(0, 1))
     for result in results:
         table.add_row(_MARKS[result.passed], result.name, result.message)
-    facts = {kind: name, "passed": passed, "checks": checks}
-    return Output(facts=facts, shows=[table, f"{name}: {summary}"], status=0 if passed else 1)
-
-
-def _summarize(results: Sequence[CheckResult]) -> str:
-    failed = [result.name for result in results if result.passed is False]
-    if not failed:
-        return "ready for a board"
-    if set(failed) <= set(PROBES):  # they do not exclude an entry, but are shown beside its name
-        return f"ready for a board, which will show the failed probes {', '.join(failed)}"
-    return f"not ready for a board: {', '.join(failed)}"
+    facts = {kind: name, "passed": not failed, "checks": checks}
+    return Output(facts=facts, shows=[table, f"{name}: {summary}"], status=1 if failed else 0)

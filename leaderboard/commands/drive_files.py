@@ -77,7 +77,6 @@ def read_passes(paths: Sequence[Path], options: DriveOptions) -> list[DriveFile]
 
 
 def _checked(drives: list[DriveFile], options: DriveOptions) -> list[DriveFile]:
-    """Return the drives with doubts, and write their description if that is wanted."""
     if options.save_description:
         if not drives[0].is_table:
             raise ConfigError(

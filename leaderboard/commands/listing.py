@@ -77,9 +77,8 @@ def _modes() -> _Lines:
     for mode, (stiff, high) in ALL_MODES.items():
         owners = ", ".join(name for name, car in cars.items() if mode in car.modes)
         spring, damper = "stiff" if stiff else "soft", "high" if high else "low"
-        is_passive = mode in PASSIVE_MODES
-        state = "nothing to switch" if is_passive else f"{spring} spring, {damper} damping"
-        lines[mode] = f"{state}: {owners}"
+        state = f"{spring} spring, {damper} damping"
+        lines[mode] = f"{'nothing to switch' if mode in PASSIVE_MODES else state}: {owners}"
     return lines
 
 

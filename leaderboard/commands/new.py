@@ -1,7 +1,6 @@
 """Commands that write something to begin with: `new-estimator`, `new-policy`, `new-vehicle`.
 
-The examples in `leaderboard/templates` work and are meant to be replaced: double integration of the
-body's accelerations, a regression that learns, and a policy that switches in corners.
+The examples in `leaderboard/templates` work and are meant to be replaced.
 """
 
 import keyword
@@ -76,11 +75,7 @@ def new_vehicle(
 
 
 def _write_package(name: str, folder: Path, example: _Example = "estimator") -> list[Path]:
-    """Write a package with the estimator or policy `name` into a new or empty `folder`.
-
-    Returns its files. Raises ConfigError, before anything is written, for an invalid name or a
-    folder with files.
-    """
+    """Write a package, unless its name or folder is of no use, and return its files."""
     kind, article = ("policy", "A") if example == "policy" else ("estimator", "An")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
         raise ConfigError(

@@ -81,7 +81,6 @@ def observability(
 
 
 def _dampers(text: str | None) -> dict[str, float] | None:
-    """Parse damping [N s/m] by mode from "ride=2000,handling=5000". Raises ConfigError."""
     if text is None:
         return None
     pairs = commands.parse_pairs("damping", text)

@@ -1,8 +1,7 @@
 """Output of a command, and the one layer that turns functions into commands.
 
-A command returns an `Output` of facts and prints nothing; the layer adds the option --json and
-prints. A parameter of a command that is annotated with a dataclass of options, as `DriveOptions`
-is, becomes these options; a default of its own has theirs.
+A command returns an `Output` of facts; the layer adds the option --json and prints. A parameter
+whose type is a dataclass, as `DriveOptions`, becomes its options; a default of its own has theirs.
 """
 
 import functools
@@ -20,14 +19,11 @@ from leaderboard.commands.options import Json
 
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """Findings of a command: `facts`, and what a terminal `shows` of them, by default all.
-
-    Exit `status` 1 says that what was checked has failed.
-    """
+    """Findings of a command: `facts`, and what a terminal `shows` of them, by default all."""
 
     facts: Any
     shows: Sequence[Any] | None = None
-    status: int = 0
+    status: int = 0  # of the process; 1: what was checked has failed
 
 
 def facts_table(facts: dict[str, Any]) -> Sequence[Any]:

@@ -43,8 +43,7 @@ _WITHOUT_STATISTICS = (
     "the features as they are, may choose each action, and is asked for one in each control "
     "interval, whatever its action_repeat in training."
 )
-RIVALS = ("rrms", "rrms_lateral", "lateral", "mpc")
-"""Laws beside which a newly trained policy is shown."""
+RIVALS = ("rrms", "rrms_lateral", "lateral", "mpc")  # laws to compare a newly trained policy with
 
 
 def policies(
@@ -80,8 +79,7 @@ def policies(
     chosen = policy if policy is None or reference in policy else [*policy, reference]
     entries, base = _entries(chosen, limits.parse()), _row_name(reference)
     if policy is None:
-        pairs = {f"{f}/{r}": FixedPair(front=f, rear=r) for r in MODES for f in MODES}  # type: ignore[arg-type]
-        entries |= pairs
+        entries |= {f"{f}/{r}": FixedPair(front=f, rear=r) for r in MODES for f in MODES}  # type: ignore[arg-type]
         if base not in entries:
             entries |= _entries([reference], limits.parse())
     if out:
@@ -162,10 +160,7 @@ def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
 
 
 def _row_name(reference: str, may_be_path: bool = True) -> str:
-    """Return the name of the row of a policy. Raises ConfigError for one that is another's.
-
-    A `reference` that is no name may be that of a file or a class, if it `may_be_path`.
-    """
+    """Return the name of a policy's row; of a file or class its own, if it `may_be_path`."""
     name = reference
     if may_be_path:
         is_file = reference.endswith(FILE_SUFFIXES)

@@ -98,7 +98,6 @@ def _facts(result: DriveResult) -> dict[str, Any]:
 
 
 def _shown(result: DriveResult) -> list[Any]:
-    """Return the line of a drive, the table of its segments, its obstacles and its notes."""
     length, iri = (result.facts[key] for key in ("length_m", "iri_mean"))
     heads = ("from [m]", "to [m]", "IRI mean [mm/m]", "95 %", "condition", "class", "flags")
     numbers = ("{begin_m:.0f}", "{end_m:.0f}", "{iri_mean:.2f}")
@@ -116,12 +115,9 @@ def _shown(result: DriveResult) -> list[Any]:
         "{height_high_mm:.0f}), {length_m:.1f} m long, wheel path {wheel_path}, "
         "confidence {confidence:.2f}"
     )
-    obstacles = [
-        obstacle.format(**row, place=1.96 * row["station_std_m"]) for row in result.obstacles
-    ]
     return [
         f"{result.name}: {length:.0f} m, mean IRI {iri:.2f} mm/m",
         commands.make_table(heads, cells, texts=heads[4:]),
-        *obstacles,
+        *(obstacle.format(**row, place=1.96 * row["station_std_m"]) for row in result.obstacles),
         *(f"- {note}" for note in result.notes),
     ]

@@ -33,8 +33,7 @@ from road_envs.core.config import ConfigError
 
 _RANDOM_ROAD_BOARDS = ("new_road", "field", "class")  # boards with random roads
 _DEFAULT_FOLDER = Path("out/leaderboard")
-_SEASON_NAME = re.compile(r"[A-Za-z0-9._-]+")
-"""Pattern of a folder's name that git and shells show as it is."""
+_SEASON_NAME = re.compile(r"[A-Za-z0-9._-]+")  # of a folder, as git and shells show it
 
 
 def run_job(

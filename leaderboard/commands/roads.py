@@ -27,13 +27,12 @@ def list_roads() -> Output:
             roughness.roughness_class(roughness.fit_line(n, G, w=2.0)[0]) if G.max() > 0 else "-"
             for G in G_d
         }
-        facts = {
+        rows.append({
             "road": name, "length_m": surface.length,
             "rms_mm": [1000.0 * float(z.std()) for z in surface.z],
             "iri_mm_per_m": [float(roughness.iri(z, surface.ds)) for z in surface.z],
             "class": "".join(sorted(letters)), "notes": list(surface.notes),
-        }  # fmt: skip
-        rows.append(facts)
+        })  # fmt: skip
     pair, keys = "{:.1f}, {:.1f}".format, ("rms_mm", "iri_mm_per_m")
     cells = [
         (x["road"], f"{x['length_m']:.1f}", *(pair(*x[key]) for key in keys), x["class"])
@@ -108,6 +107,5 @@ def iri(
 
 
 def _written(surface: Surface, out: Path, form: str | None = None) -> Output:
-    """Write a road, of which a .crg file can have a `form`, and return what was written."""
     write_crg(surface, out, form) if form else write(surface, out)
     return Output(facts={"written": str(out), "length_m": surface.length, "spacing_m": surface.ds})

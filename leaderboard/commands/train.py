@@ -23,8 +23,7 @@ from road_envs.drives.training_corpus import Corpus
 from road_envs.records.record import PROFILE_SPACING, Profile, Record
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 
-_SIMULATED = ("vehicle", "sensors", "mode", "speed_kmh")
-"""Options of drives that simulated ones have, too."""
+_SIMULATED = ("vehicle", "sensors", "mode", "speed_kmh")  # options that simulated drives have, too
 
 
 def train(
@@ -111,9 +110,7 @@ def _refuse(material: str, options: dict[str, Any]) -> None:
 
 
 def _check_whole(path: Path, record: Record, profile: Profile) -> None:
-    """Raise ConfigError if a profile does not reach over the road of its record: it would be level
-    beyond its ends.
-    """
+    """Raise ConfigError if a profile, level beyond its ends, does not reach over its record."""
     start, end = profile.s[0], profile.s[-1]
     if start > 2.0 * PROFILE_SPACING or end < record.length - 2.0 * PROFILE_SPACING:
         raise ConfigError(
@@ -130,7 +127,6 @@ def _fit(
     seed: int,
     out: Path,
 ) -> dict[str, Any]:
-    """Fit an estimator to drives over known roads, store it, and return what the fit gave."""
     fitted = estimator.fit([r for r, _ in drives], [z for _, z in drives], car, seed)
     weights_io.save(fitted, out)
     if isinstance(fitted, StaticLm | Narx):

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from leaderboard.cli import app
-from leaderboard.commands.check import _summarize
+from leaderboard.commands.check import _checks_output
 from leaderboard.conformance import checks
 from leaderboard.conformance.checks import UNINTENDED_ERRORS, check_drives, check_entry
 from leaderboard.conformance.probes import PROBES, CheckResult
@@ -196,6 +196,12 @@ def test_a_failed_probe_does_not_exclude_an_estimator_but_a_failed_check_does():
         CheckResult(name=name, passed=passed, message="so")
         for name, passed in (("runs", True), ("sign", False), ("gaps", False))
     )
-    assert _summarize([good]) == "ready for a board"
-    assert _summarize([good, probe]).endswith("which will show the failed probes sign")
-    assert _summarize([good, probe, gaps]) == "not ready for a board: sign, gaps"
+
+    def said(*results):
+        output = _checks_output("estimator", "mine", results, "ready for a board")
+        assert output.status == int(len(results) > 1)
+        return output.shows[-1]
+
+    assert said(good) == "mine: ready for a board"
+    assert said(good, probe).endswith("which will show the failed probes sign")
+    assert said(good, probe, gaps) == "mine: not ready for a board: sign, gaps"
