@@ -122,7 +122,8 @@ def posterior(
 
     The sensors have the responses `H` (F, S, 2) and the noise spectrum `R` (F, S, S) over `n` (F,).
     """
-    signal = (HS := H @ S) @ hermitian(H)
+    HS = H @ S
+    signal = HS @ hermitian(H)
     noise = R + model_error**2 * np.real(signal) * np.eye(H.shape[1])
     # K (signal + noise) = S H*, solved for the adjoint of K
     gain = hermitian(np.linalg.solve(signal + noise, HS))
@@ -198,8 +199,9 @@ def equivalent_damping(
 ) -> np.ndarray:
     """Return the equivalent damping (4,) [N s/m] of the struts on a road with `prior` at `v` [m/s].
 
-    It determines the strut rates, and their standard deviation determines it. Raises ValueError,
-    and ArithmeticError if the iteration does not converge.
+    It is the fixed point of statistical linearisation: the damping determines the strut rates, and
+    their standard deviation determines the damping. Raises ValueError, and ArithmeticError if the
+    iteration does not converge.
     """
     model_plant = car if isinstance(car, Plant) else build_plant(car)
     f = np.geomspace(0.05, 50.0, 300)

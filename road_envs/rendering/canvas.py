@@ -2,6 +2,7 @@
 
 import functools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
@@ -30,7 +31,7 @@ class Canvas:
         self.width, self.height = width, height
         self._image = Image.new("RGB", (SMOOTHING * width, SMOOTHING * height), fill)
         self._draw = ImageDraw.Draw(self._image)
-        self._words: list[tuple] = []
+        self._words: list[tuple[Any, ...]] = []  # place, text, colour, font and anchor of each
 
     def polygon(self, points: np.ndarray, fill: str, outline: str | None = None) -> None:
         self._draw.polygon(_large(points), fill=fill, outline=outline, width=SMOOTHING)
@@ -46,7 +47,14 @@ class Canvas:
         self._draw.ellipse([*(centre - r), *(centre + r)], fill=fill)
 
     def text(
-        self, x: float, y: float, words: str, fill: str, size=12, anchor="ls", bold=False
+        self,
+        x: float,
+        y: float,
+        words: str,
+        fill: str,
+        size: int = 12,
+        anchor: str = "ls",
+        bold: bool = False,
     ) -> None:
         """Write `words` on top of all shapes; `anchor` as in Pillow (ls: left end of baseline)."""
         self._words.append(((x, y), words, fill, _font(size, bold), anchor))

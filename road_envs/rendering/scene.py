@@ -95,7 +95,8 @@ class Scene:
 
     def hub_height(self, wheel: int, y: float | None = None) -> float:
         """Return the displayed height [m] of an axle at its `wheel`, or at `y` [m] left."""
-        axle, y = wheel // 2, self.wheel_y(wheel) if y is None else y
+        axle = wheel // 2
+        y = self.wheel_y(wheel) if y is None else y
         height = self.q[AXLE + 2 * axle] + y * self.q[AXLE + 2 * axle + 1]
         rest = WHEEL_RADIUS - self.car.tyre_deflections[axle]
         return float(rest + self.to_display(height))

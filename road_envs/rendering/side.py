@@ -13,9 +13,7 @@ from road_envs.rendering.scene import LEFT_WHEELS, RIGHT_WHEELS, WHEEL_RADIUS, S
 from road_envs.vehicle.equations import THETA, Z_B
 
 SCALE = 92.0  # pixels per metre
-SHEAR = np.array(
-    [0.07, 0.13]
-)  # shift to the right and upwards of a point one metre to the left [m]
+SHEAR = np.array([0.07, 0.13])  # shift [m] right and up of a point one metre to the left
 GROUND = 254.0  # row of the canvas of a level right wheel path
 SHOULDER = 0.3  # width of the road outside the wheel paths [m]
 STONE = 0.25  # length of a paving stone [m]
