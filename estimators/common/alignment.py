@@ -1,8 +1,9 @@
 """Alignment of two profiles of one road, whose stations come from different odometers.
 
-The slopes of roads are nearly white: unrelated ones seldom have a large correlation and the lag of
-equal ones is sharp. That of the band-passed slopes, of both wheel paths together, is searched over
-lags and scales; then a piecewise linear map follows the lag of each window along the road.
+The slopes of roads are nearly white, so that unrelated ones seldom have a large correlation and the
+lag of equal ones is sharp. The correlation coefficient of the band-passed slopes, of both wheel
+paths together, is searched over lags, and over scales of the odometer; then a piecewise linear map
+of the stations follows the lag of each window along the road.
 """
 
 from dataclasses import dataclass
@@ -30,8 +31,10 @@ _Slopes = tuple[np.ndarray, np.ndarray]  # stations (K,) [m] and slopes (2, K) o
 
 @dataclass(frozen=True, eq=False)
 class StationMap:
-    """Piecewise linear map of `stations` (K,) [m], increasing, to `reference` (K,) [m], at the ends
-    of the nearest piece's scale; `correlation` of the slopes in the band, at one lag and one scale.
+    """Piecewise linear map of stations to those of the reference.
+
+    `stations` (K,) [m], increasing, are mapped to `reference` (K,) [m]; beyond the ends the scale
+    is that of the nearest piece. `correlation` of the slopes in the band, at one lag and one scale.
     """
 
     stations: np.ndarray
@@ -87,8 +90,9 @@ def map_stations(
 ) -> tuple[StationMap, bool]:
     """Map stations of the profile `other` (2, M) [m] to those of `reference` (2, N) [m].
 
-    Both begin at station 0, with points `ds` [m] apart. Return the map of largest correlation in
-    `band` [cycles/m], and whether they match. Raises ValueError if less than MIN_OVERLAP is common.
+    Both begin at station 0, with points `ds` [m] apart, and are compared inside `band`
+    [cycles/m]. Return the map of largest correlation, and whether the profiles match. Raises
+    ValueError if less than MIN_OVERLAP would be common.
     """
     first, second = (_slopes(z, ds, band) for z in (reference, other))
     shortest = min(np.ptp(x[0]) for x in (first, second))
@@ -188,8 +192,10 @@ def _peak(lags: np.ndarray, correlation: np.ndarray, i: int) -> float:
 def lag_correlations(
     reference: np.ndarray, other: np.ndarray, needed: int, start: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return lags (L,) and correlation coefficients (L,) of slopes (2, N) and (2, M), with `needed`
-    common samples at least. At a lag k, sample i of `other` lies on i + k - `start` of `reference`.
+    """Return lags (L,) and correlation coefficients (L,) of slopes (2, N) and (2, M).
+
+    At a lag k, sample i of `other` lies on sample i + k - `start` of `reference`. Only lags with at
+    least `needed` common samples are returned.
     """
     ones = np.ones_like(other)
 

@@ -1,8 +1,9 @@
 """Bending of the body in the readings: a linear filter behind the model of the rigid motion.
 
-It follows from the body's heave and pitch (`road_envs.vehicle.body_bending`). Sample by sample it
-filters the predicted accelerations; in the tangent, which is in block means, the modal force is one
-more sensor behind the others; in the frequency domain heave and pitch are two more, BODY.
+What the struts bend (`road_envs.vehicle.body_bending`) follows from the body's heave and pitch and
+acts on the sensors alone. Sample by sample it is one more filter of the predicted accelerations;
+in the tangent, which is in block means, the modal force is one more sensor behind the others. In
+the frequency domain the body's heave and pitch are those of two more sensors, BODY.
 """
 
 from collections.abc import Mapping
@@ -22,7 +23,9 @@ BODY = {"middle of the body": (0.0, 0.0), "1 m behind it": (-1.0, 0.0)}
 
 @dataclass(frozen=True, eq=False)
 class SensedBending:
-    """A `mode`, its `force` (2,) per modal mass by heave and pitch, `shape` (S,) at the sensors."""
+    """A bending `mode`, its modal `force` (2,) per modal mass by heave and pitch, and its `shape`
+    (S,) at the sensors, in units of their readings.
+    """
 
     mode: BendingMode
     force: np.ndarray
@@ -36,7 +39,9 @@ class SensedBending:
     def extended(
         self, sample_weight: np.ndarray, sensor_rows: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return weights (S + 1, J, b) and rows (S + 1, 7) with the modal force as last sensor."""
+        """Return weights (S + 1, J, b) of the samples in block means, and sensor rows (S + 1, 7),
+        with the modal force as the last sensor.
+        """
         mean = np.full((1, *sample_weight.shape[1:]), 1.0 / sample_weight.shape[2])
         return np.concatenate([sample_weight, mean]), self.extended_rows(sensor_rows)
 
@@ -58,7 +63,9 @@ class SensedBending:
         return np.concatenate([means, force[None]])
 
     def response(self, unbent: np.ndarray, f: np.ndarray) -> np.ndarray:
-        """Return responses (F, S, K) at `f` [Hz] from unbent ones, also of BODY, (F, S + 2, K)."""
+        """Return the responses (F, S, K) of the sensors at `f` (F,) [Hz], from those (F, S + 2, K)
+        of the same sensors and of BODY on a body that does not bend.
+        """
         heave, behind = unbent[:, -2], unbent[:, -1]
         force = self.force[0] * heave + self.force[1] * (behind - heave)
         q = body_bending.response(self.mode, f)[:, None] * force

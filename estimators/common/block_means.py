@@ -14,9 +14,10 @@ MIN_NOISE_DENSITY = 1e-3  # [(m/s²)/sqrt(Hz)] below which the model's integrati
 
 @dataclass(frozen=True, eq=False)
 class BlockMeans:
-    """Means `y` (S, J) [m/s²] over blocks of b samples, `sample_weight` (S, J, b) of each in that
-    mean (0 if unused), and the number used, `sample_count` (S, J). The reading of one `censored`
-    (S, J b), as in `block_means`, is a `limit` (S, J b) [m/s²]; both are None if none is.
+    """Means `y` (S, J) [m/s²] over blocks of b samples, the `sample_weight` (S, J, b) of each
+    sample in the mean of its block (0 if unused) and the number of samples used, `sample_count` (S,
+    J). The reading of a sample that is `censored` (S, J b), as in `block_means`, is a `limit` (S, J
+    b) [m/s²]; both are None if no sample is.
     """
 
     y: np.ndarray
@@ -46,7 +47,10 @@ class BlockMeans:
         return (self.sample_weight * means[:, :, None]).reshape(means.shape[0], -1)
 
     def residual(self, predicted: np.ndarray) -> np.ndarray:
-        """Return means (S, J) of measured less `predicted` (S, J b), 0 beyond a censored limit."""
+        """Return the means (S, J) of measured less `predicted` (S, J b) samples [m/s²].
+
+        A censored sample that is predicted beyond its limit has no residual.
+        """
         residual = self.y - self.average(predicted)
         if self.censored is not None and self.limit is not None:
             beyond = self.censored * (predicted - self.limit) > 0.0
@@ -63,10 +67,11 @@ def block_means(
 ) -> BlockMeans:
     """Return the means of the `valid` samples of `a` (S, T) [m/s²], over blocks of `block` samples.
 
-    `censored` (S, T) is 1 where the true value exceeds the instrument's range, whose upper end `a`
-    is, -1 at the lower end, else 0. The end that fills no block is left out. If `bridged`, samples
-    that are not valid, censored ones too, hold a value between their neighbours: they are in the
-    means, but such blocks count no samples.
+    `censored` (S, T) is 1 where `a` is the upper end of the instrument's range, which the true
+    value exceeds, -1 where it is the lower end, else 0. Up to `block` - 1 samples at the end fill
+    no block and are left out. If `bridged`, samples that are not valid hold a value between their
+    neighbours: they are in the means, but such blocks count no samples. Censored ones are then not
+    valid.
     """
     J = a.shape[1] // block
     shape, a = (a.shape[0], J, block), a[:, : J * block]

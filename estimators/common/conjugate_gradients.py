@@ -1,7 +1,8 @@
 """Preconditioned conjugate gradients for truncated solves.
 
-They end early, by the norm of the preconditioner, which weighs well and badly scaled unknowns
-alike. SciPy's `cg` has the Euclidean norm, and does not return the number of iterations.
+SciPy's `cg` stops on the Euclidean norm of the residual and does not return the number of
+iterations. The solves here end early, by the norm of the preconditioner: it weighs well and badly
+scaled unknowns alike, and the result of an unfinished solve depends on where it ends.
 """
 
 from collections.abc import Callable
@@ -19,8 +20,10 @@ def conjugate_gradients(
     tolerance: float,
     start: np.ndarray | None = None,
 ) -> tuple[np.ndarray, int]:
-    """Solve A x = b of any shape, with the preconditioner `M`, from `start` or zero, until the
-    residual's sqrt(r' M r) is `tolerance` of sqrt(b' M b). Return x and the number of iterations.
+    """Solve A x = b approximately from `start` or zero; return x and the number of iterations.
+
+    `b` may have any shape. `M` is the preconditioner. Ends after `max_iterations`, or when
+    sqrt(r' M r) of the residual r has fallen to `tolerance` of sqrt(b' M b).
     """
     x, r, z = np.zeros_like(b), b.copy(), M(b)
     rz = float(np.vdot(r, z))

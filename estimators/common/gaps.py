@@ -1,4 +1,8 @@
-"""Stretches of a road over which no sensor was read: not known, however smooth an estimate is."""
+"""Stretches of a road over which no sensor was read.
+
+A logger pauses, a phone that moved in its mount is turned upright in parts: what lies between is
+not known, however smooth an estimate is there.
+"""
 
 from dataclasses import replace
 
@@ -12,15 +16,18 @@ _LEAST = 0.1  # shortest gap [s]: a period of the axles, over which the vehicle 
 
 
 def read_share(at: np.ndarray, s: np.ndarray, read: np.ndarray, wheelbase: float) -> np.ndarray:
-    """Return the share (M,) of what was read while either axle passed the stations `at` (M,) [m],
-    from `read` (N,) when the front axle was at `s` (N,) [m].
+    """Return the share (M,) of what was read while either axle passed the stations `at` (M,) [m].
+
+    `read` (N,) is that when the front axle was at the stations `s` (N,) [m].
     """
     front, rear = (np.interp(at + behind, s, read) for behind in (0.0, wheelbase))
     return np.maximum(front, rear)
 
 
 def unread_stations(at: np.ndarray, record: Record, wheelbase: float = 0.0) -> np.ndarray:
-    """Return which stations `at` (M,) [m] all axles, `wheelbase` [m] apart, passed unread."""
+    """Return which stations `at` (M,) [m] both axles passed while no sensor was read; the front
+    axle alone without a `wheelbase` [m].
+    """
     steps = np.diff(record.t)
     interval = float(np.median(steps))
     lost = ~np.isfinite(record.a).any(axis=0)

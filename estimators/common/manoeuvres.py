@@ -3,9 +3,10 @@
 The models of the estimators drive straight ahead without pitching moments, so what a manoeuvre does
 to the struts is taken for road. Two signals show it: the measured speed, and the roll acceleration
 between two sensors of the body, left and right at one distance from the axles. Roads excite little
-roll between 0.2 and 0.9 Hz, compared with that above and with heave; a turn that begins or ends
-rolls the body. Its steady part has no vertical acceleration: a beginning and an end close together
-are taken for one turn, and a turn that begins before the record is not seen.
+roll between 0.2 and 0.9 Hz compared with that above, and, since their long waves are alike in both
+wheel paths, compared with heave; a turn that begins or ends rolls the body. Its steady part has no
+vertical acceleration: a beginning and an end close together are taken for one turn, and a turn that
+begins before the record is not seen.
 """
 
 from itertools import combinations
@@ -35,13 +36,18 @@ _ROAD_RATIO, _HEAVE_RATIO, _FAR_RATIO = 1.4, 1.9, 3.5
 # Slow roll at the other end of a turn over that from which on one is found: friction and stiffer
 # springs make the release slower than the build-up
 _RELEASE = 0.5
-# Distance [m] of the two sensors across, and duration [s], below which no roll is looked at
+# Lateral distance [m] of the two sensors, and duration [s] of a record, below which no roll is
+# looked at
 _LEAST_DISTANCE, _LEAST_DURATION = 0.8, 8.0
 _LONGEST_TURN = 10.0  # longest time [s] between the slow rolls of one turn
 
 
 def mark_manoeuvres(estimate: Estimate, record: Record, wheelbase: float) -> Estimate:
-    """Return `estimate` with stretches between both axles (`wheelbase` [m]) marked, with notes."""
+    """Return `estimate` with its `unsure` stations, a note on each stretch before the others, and
+    `z_std` raised there by the RMS of the waves below some metres, unless nothing is found.
+
+    `wheelbase` [m]: stations between both axles belong to a sample.
+    """
     unsure, notes = np.zeros(estimate.s.size, dtype=bool), list[str]()
     kinds = {"turned": _turns, "braked or accelerated hard, or stood": _speed_changes}
     for what, find in kinds.items():
@@ -94,7 +100,9 @@ def _speed_changes(record: Record) -> np.ndarray:
 
 
 def _roll_and_heave(record: Record) -> np.ndarray | None:
-    """Return accelerations (2, N) [rad/s², m/s²] of roll and heave; None if no two sensors tell."""
+    """Return the accelerations (2, N) [rad/s², m/s²] of the body's roll and of its middle between
+    two sensors; None if no two sensors tell the roll.
+    """
     layout = load_instruments("paper").layout if record.sensors is None else record.sensors
     if len(layout) != len(record.a) or record.t[-1] - record.t[0] < _LEAST_DURATION:
         return None

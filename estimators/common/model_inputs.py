@@ -57,8 +57,10 @@ def build_model_inputs(
     max_step: float,
     filtered: bool = False,
 ) -> ModelInputs:
-    """Return the inputs of a record, in steps of at most `max_step` [s], a whole number per sample,
-    earlier by the delay of the anti-alias filter unless the model has it (`filtered`).
+    """Return the inputs of a record, in steps of at most `max_step` [s], a whole number per sample.
+
+    The anti-alias filter delays the samples, so the model is driven earlier by as much. With
+    `filtered` the filter is a part of the model, and the samples are at their own times.
     """
     decimation = max(1, int(np.ceil(1.0 / (record.fs * max_step) - 1e-3)))
     h = 1.0 / (record.fs * decimation)
@@ -93,8 +95,10 @@ def antialias_delay(instruments: Instruments) -> float:
 
 
 def rest_state(car: VehicleParameters, inputs: ModelInputs) -> np.ndarray:
-    """Return the state (14,), (16,) with a flexible frame, at rest on level ground."""
-    plant = build_plant(car)  # 1e-7 beside it, as the friction law at rest has no tangent
+    """Return the state (14,) or, with a flexible frame, (16,) at rest on a level apron, but for
+    1e-7: exactly at rest the friction law has a kink and no tangent.
+    """
+    plant = build_plant(car)
     if car.tyre_static_deflection != "equilibrium":
         return np.full(2 * plant.n_dof, 1e-7)  # the paper's start, some millimetres off
     return equilibrium(plant, settled_strut_state(int(inputs.commands[0])), np.zeros(4)) + 1e-7

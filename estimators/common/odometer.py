@@ -16,8 +16,9 @@ is known so far: with x = (1 + e) d the integral of v, and w the difference of t
 
 is linear in e' / L' and 1 / L', whose least squares follow from running sums. Where the fixes
 wander by themselves, as those of a receiver do, the stations are those of the speed, shifted and
-scaled to the fixes (`position_noise.py`), or, while a drive is recorded, shifted alone. (Groves,
-"Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems", 2013, section 16.3.)
+scaled to the fixes (`position_noise.py`), or, while a drive is recorded, shifted alone. (The scale
+factor of an odometer is a state of every navigation filter: Groves, "Principles of GNSS, Inertial,
+and Multisensor Integrated Navigation Systems", 2013, section 16.3.)
 """
 
 from dataclasses import replace
@@ -35,7 +36,9 @@ from road_envs.records.record import DistanceScale, Estimate, Record, profile_st
 _LENGTHS = (0.5, 100.0)  # least and greatest L [m] looked for; it must be passed within the record
 _MAX_SPEED_ERROR = 0.1  # greatest relative error of a speed signal that is believed
 _MIN_DISPLACEMENT = 0.005  # displacement [m] below which nothing is corrected
-_CLEARNESS = 10.0  # least ratio of the displacement to the RMS that a fit leaves, or its deviation
+# Least ratio of the displacement to what the fit leaves, root mean square, or to its standard
+# deviation
+_CLEARNESS = 10.0
 # Distance [m] before which fixes are not said to wander, online, and least rms [m] from there on
 _MIN_WANDER_LENGTH, _ONLINE_WANDER = 10.0, 0.02
 WANDER_NOTE = (
@@ -64,7 +67,8 @@ class Odometer(NamedTuple):
 
 
 def calibrate_odometer(record: Record, causal: bool = False) -> Odometer:
-    """Calibrate stations and speed by the whole record, if `causal` each sample by those before it.
+    """Calibrate stations and speed by the whole record, of a `causal` estimate each sample by those
+    before it alone.
 
     A record is returned itself if it is empty, its signals are not finite, their difference shows
     no clear displacement, or, if causal, it goes backwards.
@@ -184,7 +188,9 @@ def _calibrate_online(record: Record) -> Odometer:
 
 def to_true_distance(record: Record, estimate: Estimate) -> tuple[Record, Estimate]:
     """Return `record` and `estimate` with the stations and speed of the distance scale that the
-    estimate has found, if any, from the first sample on, and a note.
+    estimate has found, and a note; as they are if it has found none.
+
+    The front axle is at the first sample where it was.
     """
     if estimate.distance is None:
         return record, estimate

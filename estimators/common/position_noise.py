@@ -26,7 +26,8 @@ SPEED_STD = 0.02  # standard deviation of the relative error of a speed signal, 
 _OFFSET_STD = 100.0  # [m] of the offset, beforehand: it is not known
 _WHITE_STD = 0.03  # [m] of errors of single fixes that are not correlated
 _SIGMAS, _LATENCIES = np.geomspace(0.2, 12.0, 14), np.geomspace(0.1, 5.0, 8)  # [m], l [s]
-_SIGMA, _LATENCY, _LOG_STD = 2.0, 0.7, 0.7  # medians beforehand, deviation of their logarithms
+# Medians of both beforehand, and the standard deviation of their logarithms
+_SIGMA, _LATENCY, _LOG_STD = 2.0, 0.7, 0.7
 _BLOCK, _MAX_BLOCKS = 0.25, 150  # time [s] over which positions are averaged; most of them
 
 
@@ -49,7 +50,9 @@ def fit_wander(
     t: np.ndarray, travelled: np.ndarray, s: np.ndarray
 ) -> tuple[float, float, float, float]:
     """Fit stations `s` (N,) [m], less the first, to the integral of the speed `travelled` (N,).
-    Return offset [m], relative excess of the true distance, its deviation, and the stations' [m].
+
+    Return offset [m] and relative excess of the true distance over that of the speed signal, with
+    its standard deviation, and that of the stations [m], root mean square along the drive.
     """
     times, x, y = _block_means(t, travelled, s - travelled)
     basis = np.stack([np.ones_like(x), x], axis=1)

@@ -1,9 +1,10 @@
 """Estimators trained over distance for all speeds and modes, which can be corrected for a vehicle.
 
-The error on a known road is regressed on the motions in a window, on the inputs of the last layer
-of a network, and on the estimate. The ridge draws the correction towards zero; it is chosen by
-cross-validation over fifths of the drives, infinite if none predicts any better. A correction is
-used in the state of the struts and near the speed at which it was found.
+The error of the trained estimator on a known road is regressed on the motions in a window, on the
+inputs of the last layer if it is a network, and on its estimate. The ridge draws the correction
+towards zero, that is towards the trained weights; it is chosen by cross-validation over fifths of
+the drives, and is infinite if no correction predicts any better. A correction is used in
+the state of the struts and near the speed at which it was found.
 """
 
 import abc
@@ -46,7 +47,9 @@ _FOLDS = 5
 _RIDGES = np.append(10.0 ** np.arange(-4.0, 2.0), np.inf)
 _SPEED_RATIO = 1.15  # factor of the speed up to which a correction is used
 _CORRECTION_REACH = 40  # stations to either side in the window of motions; a causal one has its lag
-_UNEXPLAINED_MAX = 0.97  # largest share of a road's mean square that cross-validation may leave
+# Largest share of a road's mean square that cross-validation may leave; unrelated profiles leave
+# all of it
+_UNEXPLAINED_MAX = 0.97
 NOTE = "corrected by a calibration drive of this vehicle"
 
 
@@ -70,9 +73,11 @@ class TrainingExample(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """An `estimate` (2, M) of m and q [m], the standard deviation `std` (M,) [m] of both wheel
-    paths if it is known, and notes. Corrections are in the `unit` (M,) [m], motions in the
-    `motion_unit` [m/s²], one or (M,); `hidden` (2, C, M) is the input of a network's last layer.
+    """An `estimate` (2, M) of m and q [m], what corrections of it are computed from, the standard
+    deviation `std` (M,) [m] of both wheel paths if it is known, and notes.
+
+    Corrections are in the `unit` (M,) [m], motions in the `motion_unit` [m/s²], one or for each
+    station (M,); `hidden` (2, C, M) is what the last layer of a network multiplies.
     """
 
     estimate: np.ndarray
@@ -83,12 +88,14 @@ class Prediction(NamedTuple):
     notes: tuple[str, ...] = ()
 
     def features(self, signals: SpatialSignals, causal: bool) -> np.ndarray:
-        """Return features (2, p, M) of a correction, the estimate's short waves as the last."""
+        """Return the features (2, p, M) of a correction; the estimate's short waves are the last.
+
+        Those of m and of q are the same motions, since the vehicle's body may be asymmetric.
+        """
         ahead = STATIONS_AHEAD if causal else _CORRECTION_REACH
         windows = motion_windows(signals, _CORRECTION_REACH, ahead, causal)
         x = np.concatenate(list(windows), axis=1).T / self.motion_unit
         own = (keep_short_waves(self.estimate, causal) / self.unit)[:, None]
-        # m and q have the same motions, since the vehicle's body may be asymmetric
         return np.concatenate([self.hidden, np.array([x, x]), own], axis=1)
 
 
@@ -197,8 +204,10 @@ def fit_corrections(
     drives: Sequence[CalibrationDrive], causal: bool, predict: Predictor
 ) -> tuple[VehicleCorrection, ...]:
     """Fit a correction of what `predict` returns to the measured roads of each condition among the
-    `drives`, by the short waves of its errors; of each that cross-validation finds better than
-    none. Raises RecordError, CalibrationError.
+    `drives`, by the short waves of its errors.
+
+    Corrections that cross-validation does not find better than none are left out. Raises
+    RecordError, CalibrationError.
     """
     found: list[VehicleCorrection] = []
     groups: dict[bytes, list[tuple[TrainingExample, str, Profile]]] = {}

@@ -16,9 +16,11 @@ N_MIN = 0.01  # [cycles/m] below which the density of the increments is constant
 def increment_amplitude(
     prior: RoadPrior, size: int, ds: float, flat_below: float | None = None
 ) -> np.ndarray:
-    """Return A(n) (2, size // 2 + 1) [m] for mean and half difference, `size` nodes `ds` [m] apart:
-    irfft(A rfft(white noise)) are increments of coefficients with the spectrum of `prior`. Waves
-    longer than 1 / N_MIN [m] are a random walk; with `flat_below` [cycles/m] they stay that high.
+    """Return A(n) (2, size // 2 + 1) [m] for mean and half difference, `size` nodes `ds` [m] apart.
+
+    irfft(A rfft(white noise)) are increments from coefficient to coefficient with the spectrum of
+    `prior`. Waves longer than 1 / N_MIN [m] continue as a random walk; with `flat_below` [cycles/m]
+    waves longer than 1 / `flat_below` are no higher than that one.
     """
     line = rfftfreq(size, ds)
     line[0] = 0.5 * line[1]  # a constant slope counts as half a wave

@@ -5,13 +5,13 @@ at times that need not be even,
 
     y_k = (h * a)(t_k),      h: causal Butterworth filter of ANTIALIAS_ORDER
 
-A corner far above the block means only delays them (`model_inputs`). One of 40 Hz, as of a phone,
-also weakens them and keeps waves out that would be aliased.
+A filter whose corner is far above the block means only delays them (`model_inputs`). One of 40 Hz,
+as of a phone, also weakens them and keeps waves out that would be aliased.
 
 The tangent of a drive is in means of the acceleration over groups of steps (`block_tangent`), since
-one matrix for each step would be slow. `SampledFilter.apply` predicts the samples from them: in the
-frequency domain it divides by the response of the mean, multiplies by that of the filter, and
-interpolates at t_k. That is exact for signals below half the rate of the means.
+one matrix for each step would be slow. `SampledFilter.apply` predicts the samples from these means:
+in the frequency domain it divides by the response of the mean and multiplies by that of the filter,
+and interpolates at t_k. That is exact for signals below half the rate of the means.
 """
 
 from dataclasses import dataclass
@@ -128,7 +128,9 @@ class SampledFilter:
 
 
 def _lagrange_weights(at: np.ndarray, size: int, points: int) -> csr_array:
-    """Return weights (T, `size`) of even samples in the polynomial's value at `at` (T,) of them."""
+    """Return the weights (T, `size`) of even samples in the value at `at` (T,), in units of their
+    spacing, of the polynomial through the nearest `points`.
+    """
     points = min(points, size)
     first = np.clip(np.floor(at).astype(int) - points // 2 + 1, 0, size - points)
     node = np.arange(points)

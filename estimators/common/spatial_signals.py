@@ -9,12 +9,13 @@ difference q, whatever the height and length of the body (RF and RR are on one s
 
 Mirroring the road therefore changes the sign of roll and q. Stations are SPACING apart, fine enough
 for 1.8 cycles/m, the end of the scored band. Signals are low-passed over distance before decimation
-and heights after upsampling to the profile grid, by the same short filter: a causal input stays
-causal up to 2 FILTER_REACH. Velocities are integrals over time, high-passed at 0.3 Hz.
+and heights after upsampling to the profile grid, by the same short filter, which reaches
+FILTER_REACH to either side: a causal input stays causal up to 2 FILTER_REACH. Velocities of the
+three motions are integrals over time, high-passed at 0.3 Hz.
 
-A body that twists or bends does not have these motions. How front and roll compare with rear,
-frequency by frequency, tells such a vehicle on any road: `spectrum` has the logarithms of the
-ratios.
+A body that twists or bends is not rigid, and then the three motions are not what they are called.
+How front and roll compare with rear, frequency by frequency, separates such a vehicle from a rigid
+one on any road: `spectrum` has the logarithms of these ratios.
 """
 
 from itertools import pairwise
@@ -44,8 +45,11 @@ _LOWPASS = signal.firwin(
 )
 
 _F_VELOCITY = 0.3  # high-pass of the velocities [Hz]: below, integrated drift is as large as motion
-BANDS = np.geomspace(5.0, SCORED_F_MAX, 6)  # limits [Hz] of bands whose powers are compared
-_NOISE_ENERGY = 0.05  # [m²/s³] in every band, of 0.05 m/s² over 20 s, so ratios of nothing are 1
+# Limits of the frequency bands [Hz] in which the powers of the motions are compared
+BANDS = np.geomspace(5.0, SCORED_F_MAX, 6)
+# Energy [m²/s³] that is added to that of every motion in every band: of noise of 0.05 m/s² over
+# 20 s. Ratios are 1 where nothing has been measured.
+_NOISE_ENERGY = 0.05
 LEVEL_MIN = 3e-4  # added to the level of heights [m], so that noise on level roads is not amplified
 N_HIGH_PASS = 0.05  # high-pass of the target heights [cycles/m]: accelerations fall with n² v²
 _N_SHORT = 0.15  # spatial frequency [cycles/m] above which waves are short
@@ -54,10 +58,12 @@ N_RATIOS = 2 * (BANDS.size - 1)  # front over rear, then roll over rear, in each
 
 
 class SpatialSignals(NamedTuple):
-    """Signals at K even stations when the front axle passed, `margin` of them before the first that
-    is estimated and after the last. `motions` (6, K): accelerations [m/s²] and velocities [m/s] of
-    front, rear and roll, zero beyond the record; `v` (K,): speed [m/s]; `states` (K, 4): as of
-    `axle_states`; `spectrum` (N_RATIOS, K): logarithms of power ratios until then, or of the drive.
+    """Signals at K even stations, `margin` of them before the first that is estimated and after
+    the last. `motions` (6, K): accelerations [m/s²] and velocities [m/s] of front, rear and roll;
+    `v` (K,): speed [m/s]; `states` (K, 4): shares of stiff springs and of high damping in front,
+    then at the rear. All are those of the moment when the front axle passed the station; motions
+    are zero where the record does not reach. `spectrum` (N_RATIOS, K): logarithms of power ratios
+    until that moment, or those of the whole drive throughout.
     """
 
     motions: np.ndarray
@@ -141,8 +147,10 @@ def body_motions(record: Record, causal: bool) -> np.ndarray:
 def high_pass(
     x: np.ndarray, corner: float, rate: float, padding: int, causal: bool = False
 ) -> np.ndarray:
-    """Return rows (k, N) sampled at a `rate`, high-passed at a `corner` in the same units: by a
-    second-order Butterworth filter, if not `causal` also backward, with `padding` samples at most.
+    """Return rows (k, N) sampled at a `rate`, high-passed at a `corner` in the same units.
+
+    The filter is a second-order Butterworth, forward only if `causal`; else forward and backward
+    with `padding` samples at most beyond either end.
     """
     sos = signal.butter(2, corner, "high", fs=rate, output="sos")
     if causal:
@@ -185,8 +193,10 @@ def upsample(x: np.ndarray, size: int) -> np.ndarray:
 
 
 def target_profile(truth: Profile, length: float) -> np.ndarray:
-    """Return mean and half difference (2, M) [m] of the true wheel paths at the estimated stations,
-    low-passed as the signals, without waves longer than 20 m, reflected oddly beyond the ends.
+    """Return mean and half difference (2, M) [m] of the true wheel paths at the estimated stations.
+
+    Low-passed as the signals are and without waves longer than 20 m; continued beyond the ends of
+    the road by odd reflection.
     """
     left, right = sample_profile(truth, profile_stations(length))
     z = without_long_waves(np.array([0.5 * (left + right), 0.5 * (left - right)]))

@@ -36,8 +36,10 @@ def slope_weights(t):
 
 @kernel
 def sample_under_wheels(c, x, node_rate, wheelbase_nodes, out):
-    """Write heights and their rates under FL, FR, RL, RR at M instants to `out` (M, 2, 4); `x`
-    (M,): node number of the front axle, `wheelbase_nodes` ahead; `node_rate` (M,) [nodes/s].
+    """Write heights and their rates under FL, FR, RL, RR at each of M instants to `out` (M, 2, 4).
+
+    `x` (M,): node number of the front axle, `wheelbase_nodes` ahead of the rear one; `node_rate`
+    (M,) [nodes/s].
     """
     for m in range(x.size):
         for axle in range(2):

@@ -17,11 +17,12 @@ Heights are emitted relative to their long waves (`profile_output.py`).
     kalman_rts   emitted after the whole drive (`smoother.py`)
 
 The measurements are means over 3 ms of the raw samples. Lost samples are left out; a clipped one is
-a limit. The nodes of the lag are held, so the cost grows with its square beyond some 10 m. The
-standard deviation follows the innovations of the metres about a station, and heights no larger than
-it are reduced (`monitoring.py`). Where the innovations are far beyond their covariance for long,
-heights are emitted reduced, with wide intervals and a note. Where no obstacle explains it, the
-filter has lost the vehicle and begins anew, as in the middle of a road (`forward.py`).
+a limit. The nodes of the lag are held, so the cost grows with its square beyond some 10 m.
+
+The standard deviation follows the innovations of the metres about a station, and heights no larger
+than it are reduced (`monitoring.py`). Where the innovations are far beyond their covariance for
+long, heights are emitted reduced, with wide intervals and a note. Where no obstacle explains it,
+the filter has lost the vehicle and begins anew, as in the middle of a road (`forward.py`).
 
 Known to fail: on a vehicle other than the one described (on a field vehicle S2 that was not
 identified the error is nearly that of a flat road), as the filter corrects the road and not the

@@ -1,10 +1,12 @@
 """Extended Kalman filter over a window of blocks of measurements: linearize, update, predict.
 
-The means of a block depend on the vehicle state at its start, the road nodes passed in it and the
-strut force residuals, independent from block to block. The update corrects all of them; the
-prediction then propagates the vehicle state to the block's end by the linearization of the same
-steps. Biases and road nodes are constant. (Kailath, Sayed & Hassibi, "Linear Estimation", 2000,
-chapter 9; Jazwinski, "Stochastic Processes and Filtering Theory", 1970, section 8.3.)
+The means of a block depend on the vehicle state at the block's start, the road nodes passed in it
+and the strut force residuals, which are independent from block to block. The update corrects all of
+them; the prediction then propagates the vehicle state to the block's end by the linearization of
+the same steps. Biases and road nodes are constant. Both axles measure the same road nodes: what a
+rear wheel measures corrects the node that the front wheel passed before. (Kailath, Sayed & Hassibi,
+"Linear Estimation", 2000, chapter 9; Jazwinski, "Stochastic Processes and Filtering Theory", 1970,
+section 8.3.)
 
 In a window of some blocks only the local state is filtered (`state.LocalState`), together with its
 closed-loop transition. The other nodes are corrected once, after the window (`forward.py`): the
@@ -37,7 +39,9 @@ _MAX_LIMIT, _MAX_NIS = TUNING.max_limit, TUNING.max_nis
 def filter_blocks(
     model: FilterModel, inputs: FilterInputs, local: LocalState, test: StepTest, first, last
 ):
-    """Filter blocks `first` to `last` (excluded); return the one behind, whether a step ends it."""
+    """Filter the blocks from `first` on, to `last` (excluded) or until a step of the road is
+    likely. Return the block behind the last one, and whether one is likely.
+    """
     size, n_vehicle = local.x.size, model.force_effect.shape[1] - 3
     factors, end_state = np.empty((3 + n_vehicle, size)), np.empty(n_vehicle)
     block = LinearizedBlock(factors, np.empty(3), end_state, np.empty(4))
@@ -62,8 +66,10 @@ def _normal_hazard(x):
 def _update_block(
     model: FilterModel, inputs: FilterInputs, local: LocalState, block: LinearizedBlock, j, i
 ):
-    """Update by the block `j`, the window's `i`-th, and predict to its end: the vehicle by
-    simulation from the mean before the update, its correction by the transition matrix.
+    """Update by the measurements of the block `j`, the window's `i`-th, and predict to its end.
+
+    The vehicle is propagated by simulation from the mean before the update, and by the transition
+    matrix for the correction of the update.
     """
     size, n_vehicle, x, rows = local.x.size, block.end_state.size, local.x, local.rows
     moved = np.dot(block.factors, rows)
@@ -112,8 +118,10 @@ def _whiten(
     """Return the matrix T (3, 3) that whitens the measurements and the whitened innovation (3,),
     and adapt the noise scale. `covariance` (3, 3) or larger: of the means without their noise.
 
-    T is a Cholesky factorization, row by row: each is decorrelated from those before it. A censored
-    one has mean and variance of a truncated normal distribution (Tobit filter), a lost one zeros.
+    The measurements are processed one after the other. Each is decorrelated from those before it
+    and scaled to unit variance: a Cholesky factorization of the innovation covariance, row by row.
+    A censored one has the mean and the variance of a truncated normal distribution, as a
+    measurement by which the update has both (Tobit filter). A lost one has a row of zeros.
     """
     y, count, censored = inputs.y[:, j], inputs.sample_count[:, j], inputs.censored[:, j]
     noise_scale, n_measured, power, cross = local.adaptive[NOISE_SCALE], 0, 0.0, np.empty(3)

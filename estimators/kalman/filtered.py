@@ -15,8 +15,9 @@ from estimators.kalman.windows import WindowSchedule
 
 @dataclass(frozen=True, eq=False)
 class UnknownState:
-    """A state of which nothing is known yet: `vehicle` (N,) at rest, `std` (N + 3,) of vehicle and
-    biases, and the prior covariance `nodes` (2 K, 2 K) [m²] of the nodes, the newest first.
+    """A state in the middle of a drive of which nothing is known yet: `vehicle` (N,) at rest on a
+    level road, standard deviations `std` (N + 3,) of vehicle and biases, and the prior covariance
+    `nodes` (2 K, 2 K) [m²] of the road's nodes, the newest first.
     """
 
     vehicle: np.ndarray
@@ -35,9 +36,10 @@ class UnknownState:
 @dataclass(eq=False)
 class FilterState:
     """Mean `x` (n,); `P` (n, n + m), the covariance and, beside it, the error per unit step of
-    each of m candidates (`jumps.py`); valve states `strut_state` (4, 3); the parameters `adaptive`
-    (5,); the steps of the road `jumps`; and the blocks before which the filter was begun anew from
-    `unknown`, `restarts`. Of each block (J,): `nis`, `noise_scale` and `signal_power` after it.
+    each of m candidates (`jumps.py`); valve states of the struts `strut_state` (4, 3); the
+    parameters `adaptive` (5,); the steps of the road `jumps`; and the blocks before which the
+    filter was begun anew, `restarts`, from the state `unknown`. Of each block (J,): normalized
+    innovation squared per measurement `nis`, `noise_scale` and `signal_power` after it.
     """
 
     x: np.ndarray
@@ -54,8 +56,9 @@ class FilterState:
 
 @dataclass(frozen=True, eq=False)
 class FilterRun:
-    """A drive prepared for the filter, and its current `state`. A station s has the node number
-    (s - `origin`) / node_spacing, and is emitted when the front axle is `lag` [m] past it.
+    """A drive prepared for the filter: `model`, `inputs`, the `road` and the `windows`, and the
+    current `state`. A station s has the node number (s - `origin`) / node_spacing, and is emitted
+    when the front axle is `lag` [m] past it.
     """
 
     model: FilterModel
@@ -90,7 +93,9 @@ class FilterRun:
         return np.minimum(1.0, ratio[last]) ** 2
 
     def lost_before_restarts(self, output: ProfileOutput) -> np.ndarray:
-        """Return the stations (M,) passed within `lost_reach` before a restart, emitted after."""
+        """Return the stations (M,) that the front axle passed within `lost_reach` before a restart
+        and that were emitted after it.
+        """
         lost, front = np.zeros(output.node.size, dtype=bool), self.known_front(0.0)
         s = self.origin + TUNING.node_spacing * output.node
         for block in self.state.restarts:
@@ -106,15 +111,17 @@ class FilteredWindow:
     Its number `index`; the entries `local` (L,) of the state vector; `transition` (N, L), the
     derivative of the vehicle's error at the end by the local error at the start; the whitened
     `innovation` (R,), its derivative `U` (R, L) by that error, and its covariance `W` (R, n) with
-    the rest of the state at the start, 0 with the vehicle. M nodes have entered before it, and
-    those that left had the mean `leaving` (2 M,), the oldest first, and the `covariance` (2 M, n)
-    with the state; none in a later part. `emitted`: numbers of the stations emitted at the start,
-    and the covariance (2, n) of their heights with the state.
+    the rest of the state at the start, 0 with the vehicle.
 
-    Per unit step of each candidate: the mean of the innovation `response` (R, m), the error of the
-    mean `direction` (2 M, m). After it, the steps `accepted`; of these and later ones,
-    `corrections` has the U' response (L,) and direction (2 M,). If `restarted`, the state before
-    the window is forgotten.
+    Before it, M nodes have entered, and before these the M nodes that leave, the oldest first, had
+    the mean `leaving` (2 M,) and the `covariance` (2 M, n) with the state; none in a later part.
+    `emitted`: numbers of the stations emitted at the start, and the covariance (2, n) of their
+    heights with the state.
+
+    Per unit step of each candidate of the road's: the mean of the innovation `response` (R, m), the
+    error of the mean `direction` (2 M, m). After it, the steps `accepted`. Of steps that are
+    accepted then or later, `corrections` has the U' response (L,) and direction (2 M,).
+    If `restarted`, the state before the window is forgotten.
     """
 
     index: int

@@ -7,12 +7,13 @@ W = U P[local], the rows of the local state's covariance,
 
     P' = P - W' W,     P'[vehicle] = Phi P[local],     x' = x + W' innovation
 
-A window is filtered in parts, which end where stations are emitted or a step of the road is
+A window is filtered in parts: one ends where stations are emitted, and where a step of the road is
 accepted. Beside P is a column for the direction of each candidate step (`jumps.py`), which moves as
-the error does. Nodes are held until the stations above them are emitted, from x and P.
+the error does. All nodes are held until the stations above them are emitted, so a height and its
+variance are read from x and P.
 
-A filter that is lost is begun anew (`_restart`), as if the record began there: linearized about a
-motion that the vehicle does not have, it is led back by no later measurement.
+A filter that is lost is begun anew (`_restart`), as if the record began there: its linearization is
+one about a motion that the vehicle does not have, and no later measurement leads back to it.
 """
 
 import numpy as np
@@ -29,7 +30,9 @@ _MIN_LOG_RATIO = TUNING.min_log_ratio
 
 
 class WindowFilter:
-    """Filter of a drive that emits the stations of an `output`; keeps windows if `smoothing`."""
+    """Filter of a drive that emits the stations of an `output`. With `smoothing` the latest parts
+    of windows are kept, so that a step accepted later corrects what the smoother reads of them.
+    """
 
     def __init__(self, run: FilterRun, output: ProfileOutput, *, smoothing: bool = False):
         self.run, self.output, self.smoothing = run, output, smoothing
@@ -116,7 +119,8 @@ class WindowFilter:
         self, i: int, first: int, end: int, left: tuple[np.ndarray, np.ndarray, np.ndarray]
     ) -> tuple[FilteredWindow, int]:
         """Emit what is due before the block `first` of the window `i`, and filter from there to
-        `end`, the next station due or an accepted step. Return the part, and the block behind it.
+        `end`, to the next station that is due, or until a step is accepted. Return the part, with
+        `leaving`, `covariance` and `direction` of the nodes that `left`, and the block behind it.
         """
         emitted = self._emit(i, first)
         if self._emitted < len(self.output.node):
@@ -172,7 +176,9 @@ class WindowFilter:
         return part, last
 
     def _accept_jumps(self, blocks: int, part: FilteredWindow) -> None:
-        """Accept the steps likely after so many `blocks`, and correct the windows they are in."""
+        """Accept the steps that are likely after so many `blocks`, and correct the innovations
+        since their nodes are in the state.
+        """
         state, newest, reached = self.run.state, self.run.windows.newest, self.run.windows.reached
         n, least = state.x.size, _MIN_LOG_RATIO * state.adaptive[NOISE_SCALE]
         P, direction = state.P[:, :n], state.P[:, n:]
@@ -188,7 +194,8 @@ class WindowFilter:
 
     def _emit(self, i: int, block: int) -> list[tuple[int, np.ndarray]]:
         """Emit the stations that are due before the `block` of the window `i`. Return the numbers
-        of those with a variance, and the covariance (2, n) of their heights with the state.
+        of those whose variance is computed, with the covariance (2, n) of their heights with the
+        state, for the smoother.
         """
         output, state, road, schedule = self.output, self.run.state, self.run.road, self.run.windows
         first = self._emitted

@@ -27,8 +27,8 @@ _CHOSEN_STDS = RATE_STDS / TUNING.std_inflation
 
 
 def smoothed_tables(velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return tables (W K, cells, 4) of the expected force, from `velocity` (K, cells, 4), for each
-    standard deviation of RATE_STDS, and the residual variances (W, K, cells + 1) [N²].
+    """Return tables (W K, cells, 4) of the expected force, from the tables `velocity` (K, cells,
+    4), for each standard deviation of RATE_STDS, and the residual variances (W, K, cells + 1) [N²].
     """
     return _smoothed_tables(velocity.tobytes(), velocity.shape)
 
@@ -43,7 +43,9 @@ def _smoothed_tables(data: bytes, shape: tuple[int, ...]) -> tuple[np.ndarray, n
 
 
 def _residual_variance(velocity: np.ndarray, std: float) -> np.ndarray:
-    """Return the residual variance (K, cells + 1) [N²] over the grid of rates of `std` [m/s]."""
+    """Return the variance (K, cells + 1) [N²] of the force about its best line, over the grid of
+    rates, for a rate of standard deviation `std` [m/s].
+    """
     rate = V_0 + V_STEP * np.arange(velocity.shape[1] + 1)
     x = np.linspace(-4.0, 4.0, 161)
     weight = np.exp(-0.5 * x**2) / np.exp(-0.5 * x**2).sum()
@@ -56,7 +58,9 @@ def _residual_variance(velocity: np.ndarray, std: float) -> np.ndarray:
 
 @kernel(inline=False)
 def choose_linearization(model: FilterModel, local: LocalState, force_variance):
-    """Select each strut's table by its rate's deviation; fill `force_variance` (4,) [N²]."""
+    """Select each strut's table by the uncertainty of its rate, and write the variance [N²] of its
+    force residual to `force_variance` (4,).
+    """
     p, strut_rows = model.constants[0], model.strut_rows
     n_dof, n_tables = strut_rows.shape[1], model.force_variance.shape[1]
     for w in range(4):

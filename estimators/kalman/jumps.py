@@ -13,8 +13,8 @@ doi:10.1109/TAC.1969.1099223), and the log likelihood ratio of a step to none is
 
     (v l² - log(jump_std² / v)) / 2
 
-The most likely one enters the state, as if its increment had had that variance from the beginning,
-and the others are conditioned on it, until none exceeds `min_log_ratio`.
+The most likely candidate enters the state, as if its increment had had that variance from the
+beginning, and the others are conditioned on it, until none exceeds `min_log_ratio`.
 """
 
 from dataclasses import dataclass
@@ -31,7 +31,9 @@ _MIN_INFORMATION = TUNING.min_information
 
 @kernel(inline=False)
 def _most_likely(score, information, reached, n_nodes):
-    """Return the likeliest candidate of `n_nodes` up to `reached`, and its log likelihood ratio."""
+    """Return the most likely candidate of the `n_nodes` nodes up to the number `reached`, from
+    `score` (m,) and `information` (m, m), and its log likelihood ratio.
+    """
     best, most, m, prior = -1, 0.0, score.size, _JUMP_STD**2
     for c in range(m):
         ratio = prior * information[c, c]
@@ -57,7 +59,9 @@ def step_is_likely(test: StepTest, local: LocalState, i):
 
 @kernel
 def _add_information(score, information, response, innovation):
-    """Update the candidates by an `innovation` (R,) of the mean `response` (R, m) per unit step."""
+    """Update `score` (m,) and `information` (m, m) of the candidates by a whitened `innovation`
+    (R,), whose mean is `response` (R, m) per unit step.
+    """
     for s in range(innovation.size):
         for c in range(score.size):
             share = response[s, c]
@@ -69,7 +73,8 @@ def _add_information(score, information, response, innovation):
 @dataclass(frozen=True, eq=False)
 class AcceptedStep:
     """A step of `size` [m] of the `candidate` at a `node`, in the `direction` (n,), its `variance`
-    [m²] and the one `added` [m²] to the state; `cross` (m,) [1/m²]: information on it and others.
+    [m²] by the innovations and the one `added` [m²] to the state, and the information (m,) [1/m²]
+    that the innovations have on it and each other candidate, `cross`.
     """
 
     candidate: int
@@ -98,7 +103,9 @@ class RoadJumps:
 
     @classmethod
     def none(cls, ahead: float, nodes: int, ds: float) -> "RoadJumps":
-        """Return no steps of so many `nodes`, `ds` [m] apart, that enter `ahead` [m] early."""
+        """Return no steps, in a drive of so many `nodes`, which are `ds` [m] apart and enter the
+        state up to `ahead` [m] before the front axle has reached them.
+        """
         m, length = 2 * round((TUNING.jump_length + ahead) / ds), round(TUNING.jump_length / ds)
         score, information, reach = np.zeros(m), np.zeros((m, m)), round(TUNING.rear_reach / ds)
         near = np.zeros(nodes, dtype=bool)
@@ -120,8 +127,9 @@ class RoadJumps:
     def accept(
         self, x: np.ndarray, P: np.ndarray, direction: np.ndarray, reached: int, least: float
     ) -> list[AcceptedStep]:
-        """Add the steps of a log likelihood ratio of more than `least`, of nodes up to `reached`,
-        to the mean `x` (n,) and covariance `P` (n, n); `direction` (n, m) of each candidate.
+        """Add the steps of a log likelihood ratio of more than `least`, of nodes up to the number
+        `reached`, to the state, of mean `x` (n,) and covariance `P` (n, n), with the `direction`
+        (n, m) of each candidate.
         """
         score, information, accepted = self.score, self.information, list[AcceptedStep]()
         m, prior = score.size, _JUMP_STD**2

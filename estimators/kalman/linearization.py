@@ -1,8 +1,9 @@
 """Prediction of one block of measurements by the nonlinear vehicle, and its exact derivative.
 
-The vehicle is simulated by the simulator's own step over the mean of the road nodes. The columns of
-`LinearizedBlock.factors`, the Jacobian of the measurement above that of the transition, are exact
-tangents of these steps (`road_envs.simulation.sensitivity`).
+The vehicle is simulated through the block by the simulator's own step over the mean of the road
+nodes. `LinearizedBlock.factors` holds the two Jacobians of an extended Kalman filter, that of the
+measurement above that of the transition: every column is the exact tangent of these steps
+(`road_envs.simulation.sensitivity`).
 """
 
 from typing import NamedTuple
@@ -34,8 +35,9 @@ _NODE_SPACING = TUNING.node_spacing
 
 
 class _AxleWeights(NamedTuple):
-    """Of the steps of a block, both half steps and axles: `node` (steps, 2, 2), the first of the
-    four that carry an axle, and their weights in its `height` and `slope` [1/s] (steps, 2, 2, 4).
+    """Spline weights of both axles at both half steps of the steps of a block. `node` (steps, 2,
+    2): the first of the four nodes that carry an axle; `height` and `slope` [1/s] (steps, 2, 2,
+    4): their weights in the height under the axle and in the rate of that height.
     """
 
     node: np.ndarray
@@ -65,7 +67,9 @@ def _axle_spline_weights(inputs: FilterInputs, wheelbase_nodes, first, weights: 
 def linearize_block(
     model: FilterModel, inputs: FilterInputs, local: LocalState, j, block: LinearizedBlock
 ):
-    """Fill the block `j`. `local.strut_state` is advanced to its end, `local.x` is not."""
+    """Fill the block `j`: factors and prediction. `local.strut_state` is advanced to the block's
+    end; the vehicle part of `local.x` is not.
+    """
     steps_per_block = model.steps_per_block
     first = j * steps_per_block
     node, shape = np.empty((steps_per_block, 2, 2), dtype=np.int64), (steps_per_block, 2, 2, 4)
@@ -139,8 +143,10 @@ def _simulate_block(
 
 @kernel
 def _bend(model: FilterModel, acceleration, bending):
-    """Return the acceleration of the body's bending, from that of the coordinates (D,), and advance
-    its filter's state `bending` (2,) by one sample; both may have the lanes as their last axis.
+    """Return the acceleration of the body's bending, and advance its filter by one sample.
+
+    `acceleration` (D,) of the coordinates; `bending` (2,): state of the filter. Both may have the
+    lanes as their last axis.
     """
     b = model.bending_section
     force = model.bending_force[0] * get(acceleration, Z_B)
@@ -153,8 +159,10 @@ def _bend(model: FilterModel, acceleration, bending):
 
 @kernel(inline=False)
 def _node_derivatives(weights: _AxleWeights, i, direction, road):
-    """Write the derivatives of heights and rates under the wheels at the step `i` to `road` (G, 16,
-    LANES), each lane a direction: from `direction` on, the front axle's nodes, then the rear one's.
+    """Write the derivatives of heights and rates under the wheels at the step `i` by the block's
+    nodes to `road` (G, 16, LANES), in the layout of `rosenbrock.step`. A lane of a group is a
+    direction: from `direction` on, behind the vehicle states, mean and half difference of the
+    nodes under the front axle, then under the rear axle.
     """
     node, height, slope = weights
     road[:] = 0.0

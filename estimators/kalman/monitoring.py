@@ -1,10 +1,11 @@
 """Consistency of the innovations along the road, and heights reduced by their own uncertainty.
 
 On the filter's own model the normalized innovation squared (NIS) is 1 in the mean. Where it is
-larger, on unexpected obstacles or where wheels lift off, so is the error: the variance of a height
-is multiplied by the NIS of the metres in which both axles passed it (the Birge ratio; Bar-Shalom,
-Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 5.4). A
-height no larger than its own error is emitted as a level road (`reduce_uncertain`).
+larger, on an obstacle that the prior did not expect or where wheels lift off, so is the error: the
+variance of a height is multiplied by the NIS of the metres in which both axles passed it (the Birge
+ratio; Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+2001, section 5.4). A height is then multiplied by q / (q + variance), with q the mean square of the
+heights about it: what is no larger than its own error is emitted as a level road.
 """
 
 import numpy as np
@@ -17,8 +18,10 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 
 def obstacle_std(square: np.ndarray, nodes: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Return by how much (2, M) [m] heights at `s` near accepted steps, `square` (N, 2) [m²] at
-    `nodes` (N,) [m], err in addition: their laws are linear about the road without the steps.
+    """Return the standard deviation (2, M) [m] by which heights near obstacles err in addition.
+
+    `square` (N, 2) [m²] of the accepted steps at the stations `nodes` (N,) [m]: an obstacle's
+    height is found by laws that are linear about the road without it.
     """
     total = np.cumsum(np.vstack([np.zeros(2), square]), axis=0)
     reach = TUNING.obstacle_reach
@@ -27,8 +30,10 @@ def obstacle_std(square: np.ndarray, nodes: np.ndarray, s: np.ndarray) -> np.nda
 
 
 def local_nis(nis: np.ndarray, front: np.ndarray, s: np.ndarray, lag: float) -> np.ndarray:
-    """Return the greatest local mean (M,) of the `nis` (J,), 1 at least, that counts for `s` (M,),
-    of blocks known when the front axle, at `front` (J,) [m] with each, is `lag` [m] past it.
+    """Return the greatest local mean (M,) of the `nis` (J,), 1 at least, that counts for `s` (M,).
+
+    `front` (J,) [m]: the front axle's station when a block is known. Of blocks that are known when
+    the front axle is `lag` [m] past the station.
     """
     origin = min(front[0], s[0]) - 1.0
     cell = ((front - origin) / TUNING.nis_cell).astype(int)
@@ -45,7 +50,9 @@ def local_nis(nis: np.ndarray, front: np.ndarray, s: np.ndarray, lag: float) -> 
 
 
 def recent_nis(nis: np.ndarray, front: np.ndarray, length: float) -> np.ndarray:
-    """Return the mean `nis` (J,) over the `length` [m] behind `front` (J,) [m], or `min_blocks`."""
+    """Return the mean (J,) of the `nis` (J,) over the last `length` [m] of the front axle, which
+    has the station `front` (J,) [m] at each block; over `min_blocks`, at least.
+    """
     total, last = np.cumsum(np.append(0.0, nis)), np.arange(1, nis.size + 1)
     first = np.minimum(np.searchsorted(front, front - length), last - TUNING.min_blocks)
     first = np.maximum(first, 0)
@@ -55,9 +62,12 @@ def recent_nis(nis: np.ndarray, front: np.ndarray, length: float) -> np.ndarray:
 def with_model_error(
     z_std: np.ndarray, z: np.ndarray, acceleration: np.ndarray, car: VehicleParameters
 ) -> np.ndarray:
-    """Return `z_std` (2, M) of heights `z` (2, M) [m] with the errors that no innovation shows: of
-    linearized laws, with the latest `acceleration` (M,) [m/s²], and of a `car` within its
-    tolerances, in proportion to the heights of the metres behind.
+    """Return standard deviations `z_std` (2, M) of heights `z` (2, M) [m] with the errors that no
+    innovation shows, since another road explains the readings as well.
+
+    The laws are linearized about a motion, the less well the greater the latest `acceleration` (M,)
+    [m/s²]; and a `car` within its tolerances answers with other heights, in proportion to those of
+    the metres behind.
     """
     linearized = z_std * np.hypot(1.0, acceleration / TUNING.linear_acceleration)
     total = np.cumsum(z**2, axis=1)
@@ -77,8 +87,10 @@ def long_waves(z: np.ndarray) -> np.ndarray:
 def reduce_uncertain(
     z: np.ndarray, z_std: np.ndarray, ahead: float, *, drifting: bool
 ) -> np.ndarray:
-    """Return heights `z` (2, M) [m] times q / (q + `z_std`² (2, M)), q the mean square over
-    `power_window` behind and `ahead` [m] of each; the long waves of `drifting` ones stay.
+    """Return heights `z` (2, M) [m] times q / (q + `z_std`² (2, M)).
+
+    q is the mean square over `power_window` behind and `ahead` [m] of each station. Of `drifting`
+    heights the waves that are longer than the scored band are left as they are.
     """
     long = long_waves(z) if drifting else np.zeros_like(z)
     width = round(TUNING.power_window / PROFILE_SPACING)
@@ -93,8 +105,11 @@ def reduce_uncertain(
 
 
 def reduce_slope(long: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Return long waves (2, M) [m] whose slope is multiplied by a `share` (M,), 0 to 1."""
+    """Return long waves (2, M) [m] whose slope is multiplied by a `share` (M,), 0 to 1.
+
+    A filter that has lost the vehicle drifts by metres; reducing the drift itself would make a step
+    of it where the share is 1 again.
+    """
     if (share >= 1.0).all():
         return long
-    # a lost filter drifts by metres: reduced itself, it would end in a step where the share is 1
     return long[:, :1] + np.cumsum(share * np.diff(long, axis=1, prepend=long[:, :1]), axis=1)

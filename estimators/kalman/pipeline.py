@@ -1,4 +1,6 @@
-"""Setup of a run from a record; then the filter over all windows, or filter and smoother."""
+"""Course of an estimate: setup of the run from a record, then the filter (`forward.py`) over all
+windows or, in chunks of bounded memory, filter and smoother (`smoother.py`).
+"""
 
 from dataclasses import replace
 
@@ -41,8 +43,9 @@ def setup_run(
     level_ends: bool,
     lag: float,
 ) -> FilterRun:
-    """Return the run of a record before its first block. `noise_variance` [(m/s²)²] of a sample;
-    `level_ends`: of the road; `lag` [m] of `FilterRun`. Raises ValueError if the odometer jumps.
+    """Return the run of a record before its first block, for stations that are emitted when the
+    front axle is `lag` [m] past them. `noise_variance` [(m/s²)²] of a sample; with `level_ends`
+    the road is level before station 0 and after its end. Raises ValueError if the odometer jumps.
     """
     steps_per_block = measurements.sample_weight.shape[2] * model_inputs.decimation
     s, half_steps = model_inputs.s, 2 * steps_per_block
@@ -52,7 +55,8 @@ def setup_run(
             f"the odometer jumps by {moved:.2f} m within {steps_per_block * model_inputs.h:.3g} s; "
             f"at most {most:.2f} m are allowed: cut the record at the jump or correct s"
         )
-    behind, ds = car.wheelbase + TUNING.initial_length, TUNING.node_spacing
+    behind = car.wheelbase + TUNING.initial_length
+    ds = TUNING.node_spacing
     origin = float(s[0]) - ds * np.ceil(behind / ds)  # a node at the start
     ends = np.array([0.0, record.length]) if level_ends else np.array([-np.inf, np.inf])
     means = measurements.y, measurements.sample_count, measurements.censored_blocks
@@ -112,6 +116,7 @@ def _build_model(
     steps_per_block: int,
     noise_variance: float,
 ) -> FilterModel:
+    """Return a run's constants; `noise_variance` [(m/s²)²] of a sample."""
     one, locations = build_plant(car), instruments.locations(car)
     line, bending = linearise(one, "ride", locations), sensed_bending(car, locations)
     # a constant force over so short a time as a block moves the vehicle like free masses
@@ -155,9 +160,9 @@ def _build_model(
 def setup_output(
     run: FilterRun, record: Record, sensor_latency: float, detrended: bool
 ) -> ProfileOutput:
-    """Return the stations of a record. Each is emitted once the front axle is the run's lag past it
-    and another `sensor_latency` [s] has been recorded; where the rear axle has passed it then, at
-    the last edge of a window before that.
+    """Return the stations of a record, with the block before which each is emitted: once the front
+    axle is the run's lag past the station and another `sensor_latency` [s] has been recorded. Where
+    the rear axle has passed it then, it is emitted at the last edge of a window before that.
     """
     s, lag = profile_stations(record.length), run.lag
     node = (s - run.origin) / TUNING.node_spacing

@@ -1,8 +1,8 @@
 """Output of road heights at stations while the filter runs.
 
 The filter's height datum drifts, by centimetres over some ten metres, and each update moves it.
-Each station is therefore emitted relative to the long waves of the road about it, as estimated at
-the same moment:
+Heights that are read out one by one would have a step at every update. Each station is therefore
+emitted relative to the long waves of the road about it, as estimated at the same moment:
 
     output(s) = E[(low * z)(s) - (long * z)(s)]
 
@@ -26,11 +26,13 @@ _HALF_WINDOW = TUNING.half_window / TUNING.node_spacing  # [nodes]
 
 @dataclass(frozen=True, eq=False)
 class ProfileOutput:
-    """Emission of M stations, in order: node numbers `node` (M,); the number of blocks `emit_block`
-    (M,) after which each is emitted; `cutoff` (2, M) [cycles/node] of the kernel `low`, for height
-    and for variance; `detrended`: whether long waves are subtracted from the height, as from the
-    variance; `both_axles`: whether the rear axle has passed a station then. Results: heights `z`
-    [m] and their in-band `variance` [m²] (M, 2), left and right.
+    """Emission schedule and emitted heights of M stations, in order.
+
+    Schedule: node numbers `node` (M,); the number of blocks `emit_block` (M,) after which each is
+    emitted; `cutoff` (2, M) [cycles/node] of the kernel `low`, for height and for variance;
+    `detrended`: whether long waves are subtracted from the height (from the variance they always
+    are); `both_axles`: whether the rear axle has passed a station then. Results: heights `z` [m]
+    and their in-band `variance` [m²] (M, 2), left and right.
     """
 
     node: np.ndarray
@@ -53,7 +55,8 @@ def _windowed_sinc(d, cutoff):
 @kernel(inline=False)
 def _output_weights(u, at, decay, cutoff):
     """Write the weights `u` (2 + L,) of retired-node sums and of L nodes, the oldest first, in the
-    output `at` nodes from the oldest; beyond them the road is level. No long waves: `decay` 0.
+    output at the position `at` from the oldest node. The road beyond the nodes counts as level
+    with the nearest one. With a `decay` of 0 no long waves are subtracted.
     """
     u[:] = 0.0
     last, sum_low = u.size - 3, 0.0

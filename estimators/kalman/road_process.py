@@ -1,9 +1,10 @@
 """Prior of the road ahead of the newest node, and online estimation of its roughness.
 
-New coefficients of mean and half difference of the wheel paths follow autoregressive models, by the
-Yule-Walker equations for the prior's spectrum (`estimators.common.road_prior`). The mean is not
-stationary, so its increments are predicted; the half difference of an isotropic surface is level
-for waves longer than the track, so it is predicted itself.
+Each new coefficient of the mean and of the half difference of the wheel paths follows an
+autoregressive model, by the Yule-Walker equations for the covariance of the prior's spectrum
+(`estimators.common.road_prior`). The mean is not stationary, so its increments are predicted. The
+half difference of an isotropic surface is level for waves longer than the track, so it is predicted
+itself.
 """
 
 from typing import NamedTuple
@@ -23,7 +24,8 @@ _DECAY = TUNING.decay
 
 class ARModel(NamedTuple):
     """Autoregressive models of mean and half difference: `weights` (2, order) of the last nodes,
-    newest first; `prediction_variance` (2,) [m²]; `covariance` (2, M) [m²] at lags of 0 to M - 1.
+    newest first; `prediction_variance` (2,) [m²]; `covariance` (2, M) [m²] at lags of 0 to M - 1
+    nodes.
     """
 
     weights: np.ndarray
@@ -66,10 +68,13 @@ def _yule_walker(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]
 
 
 class RoadProcess(NamedTuple):
-    """The road's model in a state vector of `n_vehicle` states and `n_nodes` nodes: `weights` and
-    `prediction_variance` of `ARModel` for a roughness scale of 1; outside the node numbers
+    """The road's model in a state vector of `n_vehicle` states and `n_nodes` nodes.
+
+    Weights (2, order) of the last nodes in the next one, mean and half difference, and its
+    `prediction_variance` (2,) [m²] for a roughness scale of 1; outside the node numbers
     `free_range` (2,) the road goes on level. The span [nodes] of the increments from which
-    roughness is estimated, their variance (2,) [m²], and the nodes over which it is averaged.
+    roughness is estimated, their variance (2,) [m²], and the number of nodes over which it is
+    averaged, `roughness_memory`.
     """
 
     n_vehicle: int
@@ -101,16 +106,18 @@ class RoadProcess(NamedTuple):
         return ((self.first_node + 2 * (nodes % self.n_nodes))[:, None] + np.arange(2)).ravel()
 
     def update_roughness(
-        self, x: np.ndarray, P: np.ndarray, adaptive: np.ndarray, jumps: np.ndarray, passed: range
+        self, x: np.ndarray, P: np.ndarray, adaptive: np.ndarray, square: np.ndarray, passed: range
     ) -> None:
         """Update the roughness scale by the increments up to each node of `passed`; one with an
-        accepted step in `jumps` (N, 2) is none of the prior. One step of expectation maximization:
-        the expected square is the squared mean plus the variance.
+        accepted step in `square` (N, 2) is none of the prior.
+
+        One step of expectation maximization: the expected square is the squared mean plus the
+        variance.
         """
         span = self.increment_span
         kept = 1.0 - 0.5 / self.roughness_memory  # half a node: there are two components
         for node in passed:
-            if jumps[node - span - 1 : node + 2].any():
+            if square[node - span - 1 : node + 2].any():
                 continue
             for a, b in self.node_entries(np.array([node, node - span])).reshape(2, 2).T:
                 increment = (x[a] - x[b]) ** 2 + P[a, a] + P[b, b] - 2.0 * P[a, b]
@@ -136,8 +143,9 @@ def _is_free(road: RoadProcess, newest):
 
 @kernel(inline=False)
 def _node_law(road: RoadProcess, newest):
-    """Return the step x' = F x + e by which the next node replaces the oldest: `entries` (6,), sums
-    and node, as the sums of `sources` (6, order), entries of x, times `factors` (6, order).
+    """Return the step x' = F x + e of the state vector by which the next node replaces the oldest.
+    It changes the `entries` (6,), the retired-node sums and the node's mean and half difference:
+    each is the sum of its `sources` (6, order), entries of x, times the `factors` (6, order).
     """
     order, first = road.weights.shape[1], road.n_vehicle + N_BIAS
     entries, sources = np.empty(6, dtype=np.int64), np.zeros((6, order), dtype=np.int64)

@@ -31,8 +31,9 @@ def smooth_backward(
     variance: np.ndarray,
     corrected: int,
 ) -> None:
-    """Write the nodes that leave in `windows` of `WindowSchedule.oldest` to `c` (K, 2), from the
-    first one on, and smooth the `variance` (M, 2) emitted before the window `corrected`.
+    """Write the nodes that leave in `windows`, before each of which the oldest node was `oldest`
+    (W,), to `c` (K, 2), mean and half difference from the node `oldest[0]` on, and smooth the
+    `variance` (M, 2) of the stations emitted in the windows before the number `corrected`.
     """
     n = road.n_states
     r, N, sizes = np.zeros((n, 1)), np.zeros((n, n)), dict[AcceptedStep, float]()

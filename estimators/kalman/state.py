@@ -34,14 +34,16 @@ class FilterModel(NamedTuple):
     `first_table` (4,) is each strut's number among the tables of one. `force_variance` (W, K, V)
     [N²]: variance of the strut force about its linearization. `strut_rows` (4, D), `sensor_rows`
     (3, D): strut extension and sensor acceleration per unit of each coordinate. `force_effect`
-    (4, 3 + N): means of the sensors and states at the end of a block per unit strut force, constant
-    over it. `valve_lag` [s]: time constant of the valves. `bending_force` (2,), `bending_shape`
-    (3,): those of `SensedBending`, with the coefficients `bending_section` (6,) of its filter, (0,)
-    if the body is stiff. `flexible`: True if the frame twists, else None; `side`: of side motion.
+    (4, 3 + N): means of the sensors and states at the end of a block per unit strut force, which is
+    constant over a block. `valve_lag` [s]: time constant of the valves. Bending of the body: modal
+    force per heave and pitch acceleration `bending_force` (2,), shape at the sensors
+    `bending_shape` (3,), and the coefficients `bending_section` (6,) of its filter, (0,) if the
+    body is stiff. `flexible`: True if the frame twists, else None; `side`: the same of side motion.
 
-    `wheelbase_nodes`: wheelbase in nodes. Measurements: step `h` [s], `steps_per_block`, one sample
-    in `decimation` steps, `noise_variance` [(m/s²)²] of a sample, whose factor adapts over
-    `noise_time` blocks.
+    Road: `wheelbase_nodes`, the wheelbase in nodes.
+
+    Measurements: step `h` [s], `steps_per_block`, one sample in `decimation` steps,
+    `noise_variance` [(m/s²)²] of a sample, whose factor adapts over `noise_time` blocks.
     """
 
     constants: np.ndarray
@@ -67,10 +69,12 @@ class FilterModel(NamedTuple):
 
 
 class FilterInputs(NamedTuple):
-    """A drive of N steps and J blocks. Each half step: `front_node` (2 N,), the (fractional) node
-    number of the front axle, and its `node_rate` (2 N,) [nodes/s]. Each step: the command byte
-    `commands` (N,). Each block: means `y` (3, J) [m/s²] of `sample_count` (3, J) samples; where
-    `censored` (3, J) is 1 or -1, the true mean is above or below y.
+    """Inputs and measurements of a drive of N steps and J blocks.
+
+    Each half step: `front_node` (2 N,), the (fractional) node number of the front axle, and its
+    `node_rate` (2 N,) [nodes/s]. Each step: the command byte `commands` (N,). Each block: means `y`
+    (3, J) [m/s²] of `sample_count` (3, J) samples. Where `censored` (3, J) is 1 or -1, the true
+    mean is beyond y, above or below it; else it is 0.
     """
 
     front_node: np.ndarray
@@ -82,13 +86,16 @@ class FilterInputs(NamedTuple):
 
 
 class LocalState(NamedTuple):
-    """The L entries of the state vector that a window of B blocks measures or moves: vehicle,
-    biases, nodes under the front axle, nodes under the rear axle; the mean of node k has the index
-    `nodes_at` - 2 k, for each axle (2,). Mean `x` (L,); `rows` (L, 2 L) the covariance and, beside
-    it, the closed-loop transition: derivative of the error by the error at the window's start.
-    Valve states `strut_state` (4, 3); parameters `adaptive` (5,). Of each measurement: its
-    `innovation` (3 B,) and its derivative `U` (3 B, L), both whitened. Of each block: normalized
-    innovation squared per measurement `nis` (B,), `noise_scale` (B,) and `signal_power` (B,).
+    """The L entries of the state vector that a window of B blocks measures or moves.
+
+    They are [vehicle, biases, nodes under the front axle, nodes under the rear axle]; the mean of
+    node k has the index `nodes_at` - 2 k, for each axle (2,). Mean `x` (L,); `rows` (L, 2 L) the
+    covariance and, beside it, the closed-loop transition: derivative of the error by the error at
+    the window's start. Valve states of the struts `strut_state` (4, 3); parameters `adaptive` (5,).
+
+    Of each measurement: its `innovation` (3 B,) and its derivative `U` (3 B, L) by the error at the
+    window's start, both whitened. Of each block: the normalized innovation squared per measurement
+    `nis` (B,), `noise_scale` (B,) and `signal_power` (B,).
     """
 
     x: np.ndarray
@@ -104,9 +111,11 @@ class LocalState(NamedTuple):
 
 
 class StepTest(NamedTuple):
-    """Test for m candidate steps in a window of B blocks (`jumps.py`): `direction` (L, m), error of
-    the local state at its start per unit step; `score` (m,), `information` (m, m) so far; newest
-    node touched `reached` (B,), whether the rear axle is near a step `near_step` (B,).
+    """Test for m candidate steps of the road in a window of B blocks (`jumps.py`): `direction`
+    (L, m), error of the local state at the window's start per unit step; `score` (m,) and
+    `information` (m, m) so far. Of each block: the newest node that the front axle has touched
+    `reached` (B,), and whether the rear axle is near an accepted step, `near_step` (B,). `n_nodes`
+    nodes are candidates at a time.
     """
 
     direction: np.ndarray

@@ -1,4 +1,8 @@
-"""Division of a drive into windows of blocks, between which nodes enter and leave the state."""
+"""Division of a drive into windows of blocks.
+
+In a window the filter works on the local state alone: the vehicle and the nodes that either axle
+passes. Nodes enter and leave the state between windows, and most heights are emitted there.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -38,8 +42,9 @@ class WindowSchedule:
         increment_span: int,
         held_nodes: int,
     ) -> "WindowSchedule":
-        """Divide a drive, with `front_node` (2 steps,) at each half step, into windows of one block
-        or `max_advance` nodes; `held_nodes` stay behind, `increment_span` behind the rear axle.
+        """Divide a drive into windows in which the vehicle moves `max_advance` nodes at most, or
+        one block. `front_node` (2 steps,): node number of the front axle at each half step. At
+        least `held_nodes` nodes are held behind it, and `increment_span` behind the rear axle.
         """
         blocks = front_node.size // (2 * steps_per_block)
         node = front_node[: 2 * steps_per_block * blocks].reshape(blocks, -1)
@@ -74,7 +79,9 @@ class WindowSchedule:
 
     @cached_property
     def oldest(self) -> np.ndarray:
-        """Oldest node held (W + 1,): `oldest[i]` before the window i, `oldest[i + 1]` in it."""
+        """Oldest node held in each window, and before the first one (W + 1,): `oldest[i]` before
+        the window i, `oldest[i + 1]` in it.
+        """
         return np.append(self.initial, self.newest) - self.n_nodes + 1
 
     def last_edge(self, block: np.ndarray) -> np.ndarray:

@@ -62,13 +62,16 @@ _NODE_SPACING = (0.1, 0.25)  # least and greatest spacing [m] of nodes
 _DRAWS = 40  # samples of the posterior for the standard deviation
 _SMOOTHING = 5.0  # distance [m] over which the power of the samples is averaged
 _VALIDATED = 3  # calibration drives at most on which standard deviations are calibrated
-_MAX_HELD_OUT = 0.7  # greatest error on held-out parts of the road, over it; 1 is no information
+# Greatest error on held-out parts of the road, over the road, of responses that are used; 1 is no
+# information
+_MAX_HELD_OUT = 0.7
 _FAR_SPEED = 1.3  # factor between the speeds of calibration and drive from which on a note is given
 
 
 class _VehicleResponse(NamedTuple):
-    """Result of calibration drives in one `state` (4,): `responses`, mean `speed` [m/s], the factor
-    `std_factor` on standard deviations, and the in-band `error` over the road of segments left out.
+    """Result of calibration drives in one strut state: `responses`, `state` (4,) (stiff and high
+    damping in front, then at the rear), mean `speed` [m/s], the factor `std_factor` on standard
+    deviations, and the in-band `error` of segments estimated without themselves over their road.
     """
 
     responses: Responses
@@ -114,7 +117,8 @@ class CalibratedFir(Settings):
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
         """Identify the responses from the drives over measured roads, starting from those of `fit`
-        if there are any; others are not used. Raises RecordError, CalibrationError.
+        if there are any; drives over unmeasured roads are not used. Raises RecordError,
+        CalibrationError.
         """
         known = [drive for drive in drives if drive.profile is not None]
         if not known and self.fitted_state is None:
@@ -125,7 +129,9 @@ class CalibratedFir(Settings):
         return self._identify(known, car) if known else self
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Return the likeliest road and in-band deviation. Raises RecordError, NotFittedError."""
+        """Return the most probable road and its standard deviation in the scored band. Raises
+        RecordError, NotFittedError.
+        """
         model = require_fitted(self.fitted_state, self)
         record, notes = clean_record(record, None)
         odometer = calibrate_odometer(record)
@@ -208,9 +214,10 @@ class CalibratedFir(Settings):
             record = calibrate_odometer(clean_record(drive.record, None)[0]).record
             groups.setdefault(_state(record).tobytes(), []).append(replace(drive, record=record))
         for key, group in groups.items():
-            prior = kept[key].responses.taps if key in kept else np.zeros(0)
-            is_alike = len(prior) == len(group[0].record.a)
-            kept[key] = _identify_state(group, axles, prior if is_alike else None)
+            prior = kept[key].responses.taps if key in kept else None
+            if prior is not None and len(prior) != len(group[0].record.a):
+                prior = None
+            kept[key] = _identify_state(group, axles, prior)
         return copy_with(self, fitted_state=_VehicleResponses(tuple(kept.values()), axles))
 
 
@@ -237,7 +244,9 @@ def _identify_state(
 def _validate(
     found: IdentifiedResponses, drives: Sequence[CalibrationDrive], axles: np.ndarray
 ) -> tuple[float, float]:
-    """Return the factor on deviations and the in-band error over the road, on segments left out."""
+    """Return the factor on standard deviations that gives COVERAGE on segments that responses were
+    identified without, and the in-band RMS error over the RMS of the road there.
+    """
     ratios, square, power = [], 0.0, 0.0
     for drive in drives[:_VALIDATED]:
         record, profile = drive.record, cast(Profile, drive.profile)

@@ -9,7 +9,9 @@ from estimators.api import CalibrationDrive, CalibrationError
 from estimators.linear.impulse_responses import F_BODY, RATE, IdentifiedResponses, RoadDrive
 from road_envs.records.record import F_C, Profile
 
-_LENGTH_MIN = 25.0  # shortest distance [m] in one state: five of the longest scored waves
+# Shortest distance [m] that is of use, of all drives in one state together: five of the longest
+# waves of the scored band
+_LENGTH_MIN = 25.0
 # Least number of independent frequencies in the road's acceleration, of each wheel path and of
 # their difference. A tenth of what 100 m of an ISO 8608 road have; a sine has one or two.
 _FREQUENCIES_MIN = 30.0
@@ -50,8 +52,9 @@ def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) 
 
 
 def _independent_frequencies(u: np.ndarray) -> float:
-    """Return the number of independent frequencies of a road acceleration (N,) in F_BODY to F_C:
-    (sum of powers)² over the sum of squares, of the height's rate, white for a waviness of 2.
+    """Return the number of independent frequencies of a road acceleration (N,) between F_BODY and
+    F_C: (sum of powers)² over the sum of their squares, of its spectral lines. The rate of the
+    height is taken, which is white on a road with a waviness of 2.
     """
     f = np.fft.rfftfreq(u.size, 1.0 / RATE)
     inside = (f > F_BODY) & (f < F_C)

@@ -10,9 +10,9 @@ squares with the penalty
 
     mean square of the regressors x (ridge x sum(taps²) + smoothness x sum(difference of knots²))
 
-The smoothness regularises knots with few drives. A high-pass suppresses errors below 0.15 cycles/m,
-most of a road's height but outside the scored band. A combination without a drive takes the taps of
-the one that differs in the fewest states.
+The smoothness term regularises knots with few drives. A high-pass suppresses errors below
+0.15 cycles/m: such waves are most of a road's height but lie outside the scored band. A combination
+without a drive takes the taps of the one that differs in the fewest states.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,9 @@ _MM = 1e-3  # unit of the heights [m]: taps are stored as float16 for heights in
 
 
 class FirBank(NamedTuple):
-    """`taps` (16, knots, 3, behind + 1 + ahead) [mm s²/m], the last `ahead` of the station."""
+    """`taps` (16, knots, 3, behind + 1 + ahead) [mm s²/m] of front, rear and roll; the last station
+    used is `ahead` of the estimated one.
+    """
 
     taps: np.ndarray
     ahead: int
@@ -57,7 +59,9 @@ class FirBank(NamedTuple):
         behind: int,
         ahead: int,
     ) -> "FirBank":
-        """Fit taps to m and q (2, M) [m] of drives, of their mean speed and prevailing states."""
+        """Fit the taps to drives with targets m and q (2, M) [m]. A drive counts for its mean speed
+        and for the state combination that prevails in it.
+        """
         groups: dict[int, list[tuple[SpatialSignals, np.ndarray]]] = {}
         for drive in zip(all_signals, targets, strict=True):
             groups.setdefault(int(drive[0].state @ [8, 4, 2, 1]), []).append(drive)
@@ -106,7 +110,9 @@ class FirBank(NamedTuple):
 
 
 class _KnotNormalEquations(NamedTuple):
-    """Blocks X'X (knots, p, p) of each knot with itself and with the next, and X'Z (knots, p)."""
+    """Normal equations of all knots: blocks X'X (knots, p, p) of each knot with itself and with the
+    next, and X'Z (knots, p).
+    """
 
     diagonal: np.ndarray
     off_diagonal: np.ndarray

@@ -9,13 +9,16 @@ states and act on the motions of the body.
 
 a_j are the three processed accelerations (RF, LR, RR) over the station of the front axle. They are
 band-limited to 25 Hz, over distance to 25 Hz / v, so the tap spacing is d = v / 50 Hz, rounded down
-to profile stations. Beyond the record the vehicle is at rest. The taps minimise the squared error
-on the training roads plus ridge x mean(a²) x sum(taps²); the ridge is chosen by cross-validation
-over the fifths of all drives.
+to profile stations. Beyond the record the vehicle is assumed to be at rest.
+
+The taps minimise the squared error on the training roads plus ridge x mean(a²) x sum(taps²). The
+normal equations are summed over all drives, separately for the five fifths of every drive; the
+ridge is chosen by cross-validation over these folds.
 
 Accelerometers do not observe long waves (acceleration falls with n² v²), and the window is too
 short for them: the target is the truth high-passed at 0.05 cycles/m (second-order Butterworth,
-forward and backward). There is no intercept: a mirrored drive gives the mirrored road.
+forward and backward), so longer waves are not estimated. There is no intercept: a mirrored drive
+gives the mirrored road.
 
 Limitations: large strokes, where the struts are far from linear; after `fit`, other speeds and
 modes. A window of 3 m instead of 12 m increases the error by a factor of 1.3 to 2, since it

@@ -9,9 +9,10 @@ dampers and masses, do not.
 
 The taps have a Gaussian prior with the covariance c lambda^max(i, i'), of smooth and decaying
 responses (the "TC kernel" of Chen, Ohlsson & Ljung, Automatica 48, 2012). Scale c, decay lambda and
-noise of each sensor are those of the largest marginal likelihood. The residual e, friction beside
-the sensors' noise, is modelled as autoregressive, equally for all sensors, with correlated
-innovations, and the taps are fitted again to signals whitened by this model.
+noise of each sensor are those of the largest marginal likelihood. The residual e holds friction and
+other nonlinearities beside the sensors' noise. It is modelled as autoregressive, equally for all
+sensors, with correlated innovations, and the taps are fitted again to signals whitened by this
+model.
 """
 
 from collections.abc import Sequence
@@ -31,7 +32,9 @@ from road_envs.records.record import F_C, Profile, Record
 RATE = 62.5  # rate [Hz] of signals and taps, 2.5 times the bandwidth F_C
 OVERSAMPLING = 8  # instants per sample at which the road under an axle is read, before its low-pass
 _STOP_FREQUENCY = 36.0  # [Hz] from which the low-pass of the road's acceleration leaves nothing
-MEMORY = 1.2  # [s] of the responses: to a tenth, of bounce at 1.2 Hz with a damping ratio of 0.25
+# Duration of the responses [s]: bounce at 1.2 Hz with a damping ratio of 0.25 has then fallen to
+# a tenth
+MEMORY = 1.2
 N_TAPS = int(MEMORY * RATE)
 AR_ORDER = 12
 _SEGMENTS = 5  # parts of each drive; every one is predicted from the others
@@ -53,7 +56,9 @@ class RoadDrive(NamedTuple):
 
     @classmethod
     def of(cls, record: Record, profile: Profile, axles: np.ndarray) -> "RoadDrive":
-        """Return a drive over a `profile`, used where all `axles` (X,) [m] are on it."""
+        """Return a drive over a known `profile`; `axles` (X,) [m] behind the first. Used are
+        samples with all axles on the profile. Its heights go on beyond its ends as they are there.
+        """
         t = sample_times(record)
         fine, s = fine_stations(record, t), np.interp(t, record.t, record.s)
         weights = acceleration_filter()
@@ -70,7 +75,9 @@ class RoadDrive(NamedTuple):
 
     @single_blas_thread()
     def quick_explained(self) -> np.ndarray:
-        """Return the shares (k,) of the sensors' power explained by responses of usual settings."""
+        """Return the shares (k,) of the sensors' power that responses of the usual size and decay
+        predict in segments that they were not identified in.
+        """
         parts = _segment_sums([(_stack_delays(self.u), self.a, self.segment)], np.ones(1))
         total = reduce(LeastSquaresSums.plus, parts)
         settings = [_first_guess(total, j) for j in range(len(self.a))]
@@ -78,8 +85,11 @@ class RoadDrive(NamedTuple):
 
 
 class Responses(NamedTuple):
-    """Responses and noise of one vehicle in one state: `taps` (k, axles, 2, N_TAPS) [-], `ar`
-    (AR_ORDER,) of the residual, and the covariance `innovation` (k, k) [(m/s²)²] at RATE.
+    """Responses and noise of the sensors of one vehicle in one state of its struts.
+
+    `taps` (k, axles, 2, N_TAPS) [-] by sensor, axle and wheel path; `ar` (AR_ORDER,): coefficients
+    of the residual's autoregression; `innovation` (k, k) [(m/s²)²]: covariance of its innovations
+    at RATE.
     """
 
     taps: np.ndarray
@@ -110,7 +120,10 @@ class IdentifiedResponses(NamedTuple):
     def identify(
         cls, drives: Sequence[RoadDrive], prior: np.ndarray | None = None
     ) -> "IdentifiedResponses":
-        """Identify a vehicle in a state; `prior` (k, axles, 2, N_TAPS): mean taps, else 0."""
+        """Identify the responses from drives of one vehicle in one state.
+
+        `prior` (k, axles, 2, N_TAPS): mean of the taps before these drives, by default 0.
+        """
         k, shape = len(drives[0].a), (*drives[0].u.shape[:2], N_TAPS)
         mean = np.zeros((k, int(np.prod(shape)))) if prior is None else prior.reshape(k, -1)
         stacked = [(drive, _stack_delays(drive.u)) for drive in drives]
@@ -200,9 +213,10 @@ def _kernel_factor(log_scale: float, decay: float) -> np.ndarray:
 
 
 def _posterior(sums: LeastSquaresSums, j: int, settings: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return negative log likelihood and mean taps (p,) of sensor `j` under `settings`."""
-    # `settings`: log c, logit lambda, log of the noise variance. Taps are F w with white w: M is
-    # the Gram matrix of w, F' (X'X) F block by block of inputs
+    """Return the negative log marginal likelihood of sensor `j` and its taps' posterior mean (p,).
+    `settings`: log c, logit lambda, log of the noise variance.
+    """
+    # taps are F w with white w: M is the Gram matrix of w, F' (X'X) F block by block of inputs
     F = _kernel_factor(settings[0], 1.0 / (1.0 + np.exp(-settings[1])))
     inputs, noise = len(sums.XX) // N_TAPS, float(np.exp(settings[2]))
     blocks = sums.XX.reshape(inputs, N_TAPS, inputs, N_TAPS)

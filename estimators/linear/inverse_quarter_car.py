@@ -2,15 +2,17 @@
 wheel.
 
 Three or more accelerometers on the body give heave, roll and pitch of a rigid body, hence the
-acceleration a above each strut. Each corner is treated as an independent quarter car, which is
-inverted (after Ngwangwa 2020, who inverts the solution of the vertical ride dynamics):
+acceleration a above each strut. Each corner is treated as an independent quarter car and the
+forward problem is inverted (after Ngwangwa 2020, who inverts the solution of the vertical ride
+dynamics):
 
     body      m_s a = -(k_s + c_s p) e                       e: extension of the strut
     strut     z_u   = a / p² - e                             z_u: height of the wheel
     wheel     (k_t + c_t p) (z_r - z_u) = m_u p² z_u + m_s a  z_r: height of the road
 
-with p = 2 pi j f: z_r = R(p) a, exactly. Spring and tyre are linear about rest; c_s is equivalent
-for the extension rate found in the record. The estimate is the mean under both wheels of a path.
+with p = 2 pi j f. So z_r = R(p) a, exactly. Spring and tyre are linear about rest; c_s is the
+equivalent damper for the extension rate that this inversion finds in the record. The estimate is
+the mean of the heights under the front and rear wheel of a path.
 
 R has a double pole at f = 0, where height is not observable: R / (1 + |R|² H_0²) is used instead,
 which is R above `f_low` (H_0 is |1 / R| there) and tends to zero below it. From 25 to 30 Hz the
@@ -29,10 +31,10 @@ rigid body's roll responds to the mean of front and rear, so the fraction cos²(
 the difference is recovered at the spatial frequency n.
 
 Limitations: errors of half the road's level and more on any vehicle, for that reason and others;
-the weights take a road of single obstacles for a smooth one with noise. The Defender's body has
-0.72 of the pitch inertia and 1.31 of the roll inertia of uncoupled corners, and its struts stand
-further in than its wheels. The error in the scored band is 0.52 to 0.66 of the road's level for a
-linear Defender, and about the same with friction.
+the weights take a road of single obstacles for a smooth one with noise.
+The Defender's body has 0.72 of the pitch inertia and 1.31 of the roll inertia of uncoupled corners,
+and its struts stand further in than its wheels. The error in the scored band is 0.52 to 0.66 of the
+road's level for a linear Defender, and about the same with friction.
 """
 
 from collections.abc import Mapping
@@ -56,7 +58,8 @@ from road_envs.vehicle.parameters import VehicleParameters
 _PADDING_TIME = 8.0  # zeros [s] appended to a record before it repeats in the DFT circle
 _FADE_RATIO = 1.2  # the response fades to zero from F_C to this multiple of it
 _MIN_LEVER = 0.1  # least singular value of lever arms [m]: with less, noise hides the rotations
-_OCTAVE_SHARE = 1.0 / 3.0  # width of the bands in which the inverse's spectrum is averaged
+# Width of the bands in which the spectrum of the inverse is averaged, in octaves
+_OCTAVE_SHARE = 1.0 / 3.0
 PATHS = 0.5 * np.array([[1.0, 1.0, 0.0, 0.0], [1.0, -1.0, 0.0, 0.0],
                         [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, -1.0]])  # fmt: skip
 """From heights in wheel order to mean and half difference under the front and the rear axle."""
@@ -65,7 +68,9 @@ _DAMPING_ITERATIONS = 4  # number of updates of the dampers
 
 
 class _QuarterCars(NamedTuple):
-    """Sprung and unsprung mass [kg], rate [N/m] and damping [N s/m] of struts and tyres (4,)."""
+    """The four corners, arrays (4,) in wheel order: sprung and unsprung mass [kg], rate [N/m] and
+    damping [N s/m] of strut and tyre.
+    """
 
     m_s: np.ndarray
     m_u: np.ndarray
@@ -89,8 +94,10 @@ class _QuarterCars(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class InverseQuarterCar(Settings):
-    """Inverse of a quarter car at each corner, for a vehicle with these `instruments`, from `f_low`
-    [Hz] on; with `weigh` lines are weighted by what is plausible of a road.
+    """Inverse of a quarter car at each corner, for a vehicle with these `instruments`. Below
+    `f_low` [Hz] nothing is estimated.
+
+    `weigh`: lines are weighted by what is plausible of a road; if not, the inverse is plain.
     """
 
     causal: ClassVar[bool] = False
@@ -134,8 +141,9 @@ class InverseQuarterCar(Settings):
 def _accelerations_at_struts(
     a: np.ndarray, locations: Mapping[str, SensorLocation], car: VehicleParameters
 ) -> np.ndarray:
-    """Return accelerations (4, N) of a rigid body above its struts from those (k, N) of the sensors
-    that are not on the axles. Raises RecordError if they do not determine its motion.
+    """Return accelerations (4, N) of a rigid body above its struts from those (k, N) of the
+    sensors at `locations`; sensors on the axles are not used. Raises RecordError if the others do
+    not determine the motion of the body.
     """
     on_body = [i for i, place in enumerate(locations.values()) if place.axle is None]
     sensed = np.array([(1.0, place.x, place.y) for place in locations.values()])[on_body]
@@ -169,7 +177,9 @@ def _quarter_cars(
 
 
 def _weigh_by_road(heights: np.ndarray, f: np.ndarray, f_low: float) -> np.ndarray:
-    """Return spectra `heights` (4, F) at `f` (F,) [Hz] weighed for roads of 1 / f² from `f_low`."""
+    """Return the spectra `heights` (4, F) under the wheels at `f` (F,) [Hz], weighted as Wiener's
+    filter would for roads with a spectrum in proportion to 1 / f² from `f_low` on.
+    """
     paths = PATHS @ heights
     bands = round(np.log2(F_C / f_low) / _OCTAVE_SHARE)
     edges = np.geomspace(f_low, F_C, bands + 1)
@@ -184,7 +194,10 @@ def _weigh_by_road(heights: np.ndarray, f: np.ndarray, f_low: float) -> np.ndarr
 
 
 def _merge_axles(record: Record, z: np.ndarray, wheelbase: float) -> np.ndarray:
-    """Return wheel paths (2, M) [m], the mean of front and rear (4, N) [m] as far as recorded."""
+    """Return both wheel paths (2, M) [m] at the profile stations from heights (4, N) [m] under the
+    wheels over time: the mean of front and rear, or the one that passed the station within the
+    record.
+    """
     stations = profile_stations(record.length)
     axles = (stations, z[:2]), (stations + wheelbase, z[2:])
     heights = np.array([record.interpolate(at, wheels) for at, wheels in axles])

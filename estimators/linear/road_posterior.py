@@ -26,9 +26,11 @@ _LEVEL_LENGTH = 16.0
 # Length [m] over which the difference of the paths is pulled towards zero: about 1 / (2 pi n),
 # with the n of 0.13 cycles/m at which the coherence of paths 1.5 m apart is one half
 _PATH_LENGTH = 1.2
-# First guess of the logarithms of the variance of the rise over a metre [m²], and of noise factor
+# First guess of the logarithms of the variance of the rise over a metre [m²], and of the factor
+# on the noise
 START = np.array([np.log(1e-5), 0.0])
-_SEARCHED = 8.0  # largest change of the logarithm of noise over rise in the search for settings
+# Largest change of the logarithm of the ratio of noise to rise in the search for the settings
+_SEARCHED = 8.0
 
 
 class Nodes(NamedTuple):
@@ -50,7 +52,9 @@ class Nodes(NamedTuple):
         return sparse.csr_array((weights.ravel(), indices), shape=(s.size, self.size))
 
     def accelerations(self, fine: np.ndarray) -> sparse.csr_array:
-        """Return the matrix (N, size) [1/s²] to accelerations of the road at `fine` stations."""
+        """Return the matrix (N, size) [1/s²] from coefficients to accelerations of the road at the
+        stations `fine` that an axle has at the instants of `fine_stations`.
+        """
         # row k of F has the filter's weights over the fine instants around sample k
         weights = acceleration_filter()
         N = (fine.size - weights.size) // OVERSAMPLING + 1
@@ -61,7 +65,9 @@ class Nodes(NamedTuple):
         return (F @ self.heights(fine)).tocsr()
 
     def prior_bands(self) -> np.ndarray:
-        """Return lower bands (3, 2 size) of the prior's precision for a rise of 1 m² over 1 m."""
+        """Return the lower bands (3, 2 size) of the prior's precision [1/m²] for a rise over a
+        metre of variance 1 m².
+        """
         # order of the coefficients: left and right of the first node, then of the next. Squared
         # rises from node to node give 2 on the diagonal (1 at both ends) and -1 at the same side of
         # the next node, two places on; squared differences of the paths couple left to right, one
@@ -76,7 +82,9 @@ class Nodes(NamedTuple):
 
 
 class _LinearPosterior(NamedTuple):
-    """Posterior `mean` (p,) [m], banded Cholesky `factor` of its precision, marginal likelihood."""
+    """Posterior `mean` (p,) [m], the banded Cholesky `factor` of its precision, and the logarithm
+    of the marginal likelihood up to a constant.
+    """
 
     mean: np.ndarray
     factor: np.ndarray
@@ -100,7 +108,9 @@ class NormalEquations(NamedTuple):
     def of(
         cls, responses: Responses, a: np.ndarray, roads: Sequence[sparse.csr_array]
     ) -> "NormalEquations":
-        """Return the sums of sensors `a` (k, N) [m/s²]; `roads`: `Nodes.accelerations` by axle."""
+        """Return the equations of sensors `a` (k, N) [m/s²]; `roads`: for each axle, the
+        accelerations of the road from its nodes (`Nodes.accelerations`).
+        """
         # `mix` makes the innovations of the sensors independent and of variance 1, `white` makes
         # those of each independent over time: both act on readings and taps, which the filter makes
         # longer
@@ -109,7 +119,8 @@ class NormalEquations(NamedTuple):
         taps = np.pad(responses.taps, ((0, 0), (0, 0), (0, 0), (0, white.size - 1)))
         taps = np.einsum("ij,jxpt->xpti", mix, signal.lfilter(white, 1.0, taps, axis=3))
         y = mix @ signal.lfilter(white, 1.0, a)
-        (n_taps, k), N = taps.shape[2:], a.shape[1]
+        n_taps, k = taps.shape[2:]
+        N = a.shape[1]
         # a chunk of samples involves the nodes low to high alone: its H'H fills the bands of these
         # nodes, and a full H is never needed. Left and right coefficient of a node stand side by
         # side
@@ -137,7 +148,9 @@ class NormalEquations(NamedTuple):
         return cls(bands, rhs, float(np.sum(y**2)), y.size)
 
     def solve(self, prior: np.ndarray, settings: np.ndarray) -> _LinearPosterior:
-        """Return the posterior; `settings`: logarithms of rise [m²] and noise factor, as START."""
+        """Return the posterior; `settings`: logarithms of the variance of the rise over a metre
+        [m²], and of the factor on the noise.
+        """
         weight, precision = np.exp(-settings[1]), np.exp(-settings[0])
         bands = weight * self.bands
         bands[: len(prior)] += precision * prior
@@ -149,8 +162,10 @@ class NormalEquations(NamedTuple):
         return _LinearPosterior(mean, factor, float(log_likelihood))
 
     def fit_settings(self, prior: np.ndarray, start: np.ndarray = START) -> np.ndarray:
-        """Return the settings of `solve` of the largest marginal likelihood. Of both factors their
-        ratio is searched: for each the best factor on the noise is the misfit per reading.
+        """Return the settings of `solve` of the largest marginal likelihood.
+
+        The mean depends on the ratio of both factors only, and for each ratio the best factor on
+        the noise is known: the misfit per reading. So the search has one dimension.
         """
 
         def settings_of(log_ratio: float) -> tuple[float, np.ndarray]:

@@ -9,8 +9,9 @@ of the posterior of x, the road integrated out, is
 with kappa the independent share of the lines. Fisher scoring finds its maximum: with the whitened
 derivatives D_p = L^-1 (dC / dx_p) L^-*, C = L L*, the information is kappa sum tr(D_p D_q) + I
 (Whittle 1953, Ark. Mat. 2, 423-434; Kay 1993, "Fundamentals of Statistical Signal Processing:
-Estimation Theory", section 3.9). Its inverse, the covariance of what remains unknown, adds to the
-noise (`_model_error_psd`); of a vehicle that is not adapted as much is unknown as its tolerances.
+Estimation Theory", section 3.9). Its inverse is the covariance of what remains unknown of
+the vehicle, which adds to the noise (`_model_error_psd`). Of a vehicle that is not adapted as much
+is unknown as its tolerances say.
 """
 
 from dataclasses import dataclass, replace
@@ -40,7 +41,8 @@ from road_envs.vehicle.tolerances import ParameterSpace, has_absent_elements, pa
 @dataclass(frozen=True, eq=False)
 class _UncertainVehicle:
     """A vehicle `x` (P,) of a `space`, the `covariance` (P, P) of what is unknown of it, the noise
-    scale that it leaves `unexplained`, and `notes` on its adaptation, if there was one.
+    scale that it leaves `unexplained`, and its adaptation in words, if there was one, as `notes` of
+    an estimate.
     """
 
     space: ParameterSpace
@@ -56,7 +58,9 @@ class _UncertainVehicle:
         return self.space.from_vector(self.x)
 
     def model(self, segment: Segment, fitted: SpectralModel | None = None) -> SpectralModel:
-        """Return a segment's model, `fitted` with this vehicle or new, with its uncertainty."""
+        """Return the model of a segment with the noise of an uncertain vehicle: the one `fitted` to
+        it with this vehicle, if there is one, or a new one.
+        """
         vehicle = SensedVehicle.of(self.car, self.instruments)
         model = fitted or fit_hyperparameters(vehicle, segment)
         _, dH = _responses(self.space, self.x, self.instruments, segment, model)
@@ -71,9 +75,12 @@ def adapt_vehicle(
     instruments: Instruments,
     passes: int,
 ) -> _UncertainVehicle | None:
-    """Return the most probable vehicle on a `segment` of a `record`, with its `model` for `car`:
-    `car` with its tolerances, if it may well be that, no other explains more, channels are few or
-    much is obstacles, no part of a Gaussian process; None if its file gives no tolerances.
+    """Return the most probable vehicle on a `segment` of a `record`: `car` with its tolerances, if
+    it may well be that or no other explains more; None if its file gives no tolerances. `model` is
+    that of the segment for `car`, `passes` those of the estimate.
+
+    A vehicle is never adapted if the record has fewer than `least_channels` channels, or much of it
+    is obstacles, which are no part of a Gaussian process.
     """
     if not car.tolerances:
         return None
@@ -139,8 +146,11 @@ def _responses(
 
 
 def _model_error_psd(dH: np.ndarray, covariance: np.ndarray, S: np.ndarray) -> np.ndarray:
-    """Return the spectrum (F, S, S) that uncertain parameters add, to first order: sum over p, q of
-    P_pq dH_p S dH_q*. It neglects that they depart equally at all frequencies.
+    """Return the spectrum (F, S, S) that uncertain parameters add to S signals, to first order:
+    sum over p, q of P_pq dH_p S dH_q*. It neglects that they depart equally at all frequencies.
+
+    `dH` (P, F, S, 2): derivatives of the response; `covariance` (P, P) of the parameters; `S`
+    (F, 2, 2): spectrum of the road.
     """
     root = np.linalg.cholesky(covariance)
     parts = np.tensordot(root.T, dH, axes=1)
@@ -155,8 +165,10 @@ def _fisher_scoring(
     iterate: Iterate,
     steps: int,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return the parameters (P,) after `steps` from `x` (P,), their covariance (P, P), and the gain
-    of the log posterior that the first step promises, on an `iterate` without force residuals.
+    """Return the parameters (P,) after `steps` from `x` (P,), the covariance (P, P) of what is
+    unknown of them, and the gain of the log posterior that the first step promises.
+
+    The signals are those of an `iterate`, without nonlinear force residuals.
     """
     model, gain = iterate.model, np.nan
     used = (model.f > TUNING.f_low) & (model.f < F_C)

@@ -2,11 +2,14 @@
 
 The accelerations are a Gaussian process under the vehicle linearised in a state of its struts
 (`spectral_model.py`), with road level, spectral shape and noise fitted to them. The deviance of a
-description is minus twice its log-likelihood by Whittle's approximation. Other modes and, where
-much noise is left unexplained, speeds in other units, channels with the opposite sign and exchanged
-channels are tried on 150 m in the middle of the drive, some tenths of a second each; else vehicles
-that are held sideways in another way: three accelerometers can be explained by two wheel paths
-whatever the vehicle, but not with the same likelihood.
+description is minus twice its log-likelihood by Whittle's approximation. Other modes of the
+vehicle and, where much noise is left unexplained, speeds in other units, channels with the opposite
+sign and exchanged channels are tried on 150 m in the middle of the drive, some tenths of a second
+each.
+
+Where the description explains the drive otherwise, vehicles that are held sideways in another way
+are tried, too: three accelerometers can be explained by two wheel paths whatever the vehicle, but
+not with the same likelihood.
 
 Obstacles, where wheels lift off, are no part of a Gaussian process: a doubt has to be as clear
 without what is beyond four standard deviations, and its surroundings.
@@ -35,12 +38,15 @@ from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.side_values import side_values
 
-_SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}  # that may be given without a word, in m/s
+# Units in which a speed may be given without a word, and their factors to m/s
+_SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}
 
 
 @dataclass(frozen=True)
 class _Alternative:
-    """Another description of a drive: what is `different` in its `record` or `car`, what to do."""
+    """Another description of a drive: what is `different` about its `record` or, if given, its
+    `car`, and what to do.
+    """
 
     different: str
     remedy: str
@@ -54,8 +60,10 @@ _Deviance = tuple[float, float, float]  # deviance, mean noise scale, number of 
 def check_notes(
     record: Record, car: VehicleParameters, instruments: str, *, speed_known: bool = False
 ) -> tuple[str, ...]:
-    """Return a note if the `record` of a drive of a `car` fits another description better, of whose
-    speed only if not `speed_known`. Raises ConfigError, RecordError.
+    """Return a note if the `record` of a drive of a `car` fits another description better.
+
+    A drive that changes the state of its struts, or has few channels, is not checked. With
+    `speed_known`, the speed is not doubted. Raises ConfigError, RecordError.
     """
     if (part := _middle(record)) is None:
         return ()
@@ -67,8 +75,10 @@ def check_notes(
 
 
 def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tuple[str, ...]:
-    """Return a note if a vehicle that is held sideways in another way fits a drive better, where
-    the description leaves little unexplained otherwise. Raises ConfigError, RecordError.
+    """Return a note if a vehicle that is held sideways in another way fits a drive better.
+
+    Only where the description leaves little unexplained otherwise, and three sensors or more tell
+    roll from heave and pitch. Raises ConfigError, RecordError.
     """
     if (part := _middle(record)) is None:
         return ()
@@ -87,7 +97,9 @@ def _note_on_best(
     others: Sequence[_Alternative],
     least: float,
 ) -> tuple[str, ...]:
-    """Return a note on the best of the `others`, if it fits better, with obstacles and without."""
+    """Return a note on that of the `others` which fits best, if it fits a drive better than its
+    description, with obstacles and without.
+    """
     gains = [
         _clear_gain(described, _deviance(other.record, other.car or car, instruments), least)
         for other in others
@@ -113,7 +125,9 @@ def _clear_gain(described: _Deviance, other: _Deviance, least: float) -> float:
 
 
 def _other_side_motions(record: Record, car: VehicleParameters) -> Iterator[_Alternative]:
-    """Yield a drive of vehicles held sideways in another way; none of a passive one, no `side`."""
+    """Yield a drive of vehicles that are held sideways in another way than described. A passive
+    car whose file has no `side` is noted without a trial.
+    """
     blurred = "left and right are not told apart as well as the intervals say, "
     if car.side is None:
         if not car.is_passive:
@@ -215,7 +229,9 @@ def _deviance(record: Record, car: VehicleParameters, instruments: str) -> _Devi
 
 
 def _middle(record: Record) -> Record | None:
-    """Return `checked_length` of a record, from station 0; None if switched or of few channels."""
+    """Return `checked_length` in the middle of a record, from station 0 on; None if the state of
+    the struts changes or the channels are few, as such a record is not checked.
+    """
     if record.is_switched or len(record.channels) < TUNING.least_channels:
         return None
     reach = 0.5 * TUNING.checked_length

@@ -7,9 +7,10 @@ With C the covariance that the spectrum defines on a circle and M the selection 
 
 handles ends and gaps exactly (`spectral_model.solve_circulant`).
 
-Each further pass linearises about z^: the motion of the struts and its uncertainty give the
-expected nonlinear force residual q, which is subtracted, and its variance, part of which remains as
-noise; the noise scale is fitted again. Passes that diverge, where wheels fly, are discarded.
+Each further pass linearises about the estimate: z^ gives the motion of the struts and its
+uncertainty, hence the expected nonlinear force residual q and its variance. q is subtracted from
+the signals, part of its variance remains as noise, and the noise scale is fitted again. The passes
+may diverge where wheels leave the ground; a diverging pass is discarded.
 """
 
 from dataclasses import replace
@@ -35,8 +36,9 @@ from road_envs.records.record import F_C, PROFILE_SPACING, scored_band
 
 
 class Iterate(NamedTuple):
-    """Result of a pass: lines of wheel paths `z` (2, F) and struts' rates `w` (4, F), density
-    `error` (F, 2, 2) [m³] of z; its `model`, signals `y` (S, M) and spectrum `noise` (F, S, S).
+    """Result of a pass: spectral lines of the wheel paths `z` (2, F) and of the struts' extension
+    rates `w` (4, F), and the spectral density `error` (F, 2, 2) [m³] of the paths' errors; beside
+    them its `model`, signals `y` (S, M) [m/s²] and spectrum `noise` (F, S, S).
     """
 
     z: np.ndarray
@@ -48,9 +50,12 @@ class Iterate(NamedTuple):
 
 
 def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Iterate:
-    """Return the last of `passes`, or of those until the iteration ends or before it diverges."""
+    """Return the result of the last pass, when `passes` are done or the iteration ends, or of the
+    one before which it diverges.
+    """
     M, size, measured = segment.a.shape[1], model.size, max(int(segment.valid.sum()), 1)
-    q, share, change = np.zeros((4, size)), np.ones(4), 1.0
+    q, share = np.zeros((4, size)), np.ones(4)
+    change = 1.0
     start: np.ndarray | None = None  # the previous solution warm-starts the next solve
     first: float | None = None
     iterate: Iterate | None = None
@@ -126,8 +131,10 @@ def _residual_forces(iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
 def _gaussian_expectation(
     law: NonlinearResidual, e: np.ndarray, w: np.ndarray, std_e: np.ndarray, std_w: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the expected force (4, N) [N] and its variance (4,) [N²], averaged over N, of struts'
-    extensions `e` [m] and rates `w` [m/s] (4, N) with Gaussian errors `std_e` and `std_w` (4,).
+    """Return the expected force (4, N) [N] and its variance (4,) [N²], averaged over N.
+
+    The extensions `e` [m] and rates `w` [m/s] (4, N) have Gaussian errors of standard deviation
+    `std_e` and `std_w` (4,).
     """
     mean, variance = np.zeros(e.shape), np.zeros(4)
     for x, *rows in (law.e, law.over_extension, e, std_e), (law.e_dot, law.over_rate, w, std_w):

@@ -3,10 +3,11 @@
     a = H z + H_F q + e     z wheel paths, q nonlinear residuals of the strut forces, e sensor noise
 
 Estimated per segment: the level G_d(n0) of the road prior, its shape (the deviation of each octave
-from a waviness of 2) and a noise scale per octave, by expectation maximisation (Dempster, Laird &
-Rubin, J. R. Stat. Soc. B 39, 1977), alternating with the equivalent dampers, which depend on the
-road. Noise and road are separable because three sensors observe two wheel paths: one combination
-contains noise alone, or a vehicle that differs from the model.
+from a waviness of 2) and a noise scale per octave, by empirical Bayes with expectation
+maximisation (Dempster, Laird & Rubin, J. R. Stat. Soc. B 39, 1977), alternating with the equivalent
+dampers, which depend on the road. Noise and road are separable because three sensors observe two
+wheel paths: one combination of the sensors contains noise alone. A vehicle that differs from the
+model appears in this combination too and raises the noise scale.
 """
 
 from dataclasses import dataclass, replace
@@ -76,7 +77,9 @@ class SensedVehicle:
         return sensed * self.instruments.response(f)[:, None, None]
 
     def response(self, unbent: np.ndarray, f: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """Return responses (F, S, 2) to the wheel paths, from those of the `points` under tyres."""
+        """Return the responses (F, S, 2) of the sensors to the wheel paths, from those of the
+        `points` to the road under the tyres.
+        """
         return self.readings(unbent, f) * self.envelope(n)[:, None, None]
 
     def envelope(self, n: np.ndarray) -> np.ndarray:
@@ -89,11 +92,13 @@ class SpectralModel:
     """Model on the frequencies `n` [cycles/m], `f` [Hz] (F,) of a circle of `size` stations.
 
     - `H` (F, S, 2) [m/s² per m], `X` (F, 4, 2) [m/s per m]: responses of the sensors and of the
-      struts' rates of extension to the wheel paths; `H_force`, `X_force` (F, ..., 4): to forces
+      struts' rates of extension to the wheel paths; `H_force` (F, S, 4), `X_force` (F, 4, 4): to
+      strut forces
     - `residual_law`: nonlinear part of the strut forces; `residual_power` (4,) [N²]: its power;
       `residual_psd` (F, 4, 4) [N² m]: its spectrum over n
     - `sensor_psd` [(m/s²)² m]: noise of a sensor; `model_error` (F, S, S): what an uncertain
-      vehicle adds; `noise_scale` (F,): factor on all noise; `S` (F, 2, 2) [m³]: the prior's
+      vehicle adds; `noise_scale` (F,): factor on all noise
+    - `prior`: road prior; `S` (F, 2, 2) [m³]: its spectrum
     """
 
     size: int
@@ -205,8 +210,9 @@ def active_sensors(segment: Segment) -> np.ndarray:
 def run_em(
     model: SpectralModel, lines: np.ndarray, sensors: np.ndarray, share: np.ndarray | None = None
 ) -> tuple[_ShapedRoadPrior, np.ndarray]:
-    """Return updated road prior and noise scale (F,), given `lines` (F, S, 1) of the `sensors`; of
-    fewer than three the scale is kept, as noise and road are not separable.
+    """Return updated road prior and noise scale (F,), given `lines` (F, S, 1) of the `sensors`.
+
+    With fewer than three sensors the noise scale is kept: noise and road are not separable.
     """
     in_band = (model.f > TUNING.f_low) & (model.f < F_C)
     n, y, H = model.n[in_band], lines[in_band][:, sensors], model.H[in_band][:, sensors]
@@ -260,7 +266,10 @@ def _circulant_product(spectrum: np.ndarray, x: np.ndarray, size: int) -> np.nda
 def solve_circulant(
     C: np.ndarray, y: np.ndarray, valid: np.ndarray, size: int, start: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return x (S, M) with C x = y where `valid`, else 0, preconditioned by C^-1 of the circle."""
+    """Return x (S, M), zero where not `valid`, with C x = y (S, M) where `valid`.
+
+    Conjugate gradients with FFT products; the preconditioner is C^-1 of the circle.
+    """
     inverse = np.linalg.inv(C)
     x, _ = conjugate_gradients(
         lambda x: valid * _circulant_product(C, x, size),

@@ -1,13 +1,14 @@
 """Bending and twist of the body, which descriptions leave out, from the spectrum of a drive.
 
 A body that bends answers the wheels at its own frequency, at every speed. One sensor cannot tell
-that from waves of the road: a bending at 20 Hz at 100 km/h makes waves of 1.4 m three times as
-rough as they are (`studies/phone_reports.py`). A frame that twists at 7 to 20 Hz rolls sensors on
-both sides against one another: a stiff model explains that by no road, and halves the heights, or
-by a difference of the paths that is not there (`studies/few_sensors.py`). But a road has no reason
-for a narrow peak. The periodogram of the accelerations, away from obstacles, is therefore compared
-by Whittle's likelihood with those of the linearised vehicle on roads of a power law, with bodies
-that bend or twist and without. Sensors on both sides count by their mean and half difference.
+that from waves of the road, and puts them into its profile: a bending at 20 Hz of a car that drives
+at 100 km/h makes waves of 1.4 m three times as rough as they are (`studies/phone_reports.py`). A
+frame that twists at 7 to 20 Hz rolls sensors on both sides against one another: a stiff model with
+three or four of them explains that by no road, and halves the heights, or by a difference of the
+paths that is not there (`studies/few_sensors.py`). But a road has no reason for a narrow peak. The
+periodogram of the accelerations, away from obstacles, is therefore compared by Whittle's likelihood
+with those of the linearised vehicle on roads of a power law, with bodies that bend or twist and
+without. Sensors on both sides count by their mean and half their difference.
 """
 
 from collections.abc import Mapping
@@ -45,7 +46,8 @@ _FRAME_TOLERANCES = {
     "variation.frame.f": Tolerance(relative=0.1, source="found in the spectrum of the drive"),
     "variation.frame.zeta": Tolerance(relative=0.4, source="as its frequency"),
 }
-_HANN_KERNEL = np.array([1.0, 4.0, 1.0]) / 6.0  # power of a Hann window's line from its neighbours
+# Power that a line of a Hann window takes from its neighbours
+_HANN_KERNEL = np.array([1.0, 4.0, 1.0]) / 6.0
 
 
 def with_bending(record: Record, car: VehicleParameters, instruments: str) -> VehicleParameters:
@@ -73,9 +75,11 @@ def with_bending(record: Record, car: VehicleParameters, instruments: str) -> Ve
 
 
 def with_twist(record: Record, car: VehicleParameters, instruments: str) -> VehicleParameters:
-    """Return a `car` with the frame that the spectrum of its drive shows, if any, and tolerances:
-    what explains the first half best has to explain the second better than a stiff body. Drives
-    as of `with_bending`, and without a measured roll, are not searched. Raises ConfigError.
+    """Return a `car` with the frame that the spectrum of its drive shows, if any, and tolerances.
+
+    The frame that explains the first half of the drive best has to explain the second one better
+    than a stiff body. Drives as of `with_bending`, and those whose sensors do not tell the roll,
+    are not searched. Raises ConfigError.
     """
     drive = CalmDrive.of(record, car, instruments)
     has_pairs = (drive.weights < 0.0).any()  # of sensors on both sides of the body
@@ -98,7 +102,9 @@ def with_twist(record: Record, car: VehicleParameters, instruments: str) -> Vehi
 
 
 def _pairs(locations: Mapping[str, SensorLocation]) -> np.ndarray:
-    """Return weights (C, S) of sensors in channels: mean and half difference of pairs, others."""
+    """Return the weights (C, S) of the sensors in the channels: of pairs on both sides the mean and
+    half the difference, and each sensor that is in no pair.
+    """
     places, rows = list(locations.values()), []
     unit, alone = np.eye(len(places)), np.ones(len(places), dtype=bool)
     for i, j in combinations(range(len(places)), 2):
@@ -113,7 +119,8 @@ def _pairs(locations: Mapping[str, SensorLocation]) -> np.ndarray:
 @dataclass(frozen=True, eq=False)
 class CalmDrive:
     """Periodograms `power` (W, C, F) [(m/s²)²/Hz] of the channels `weights` (C, S) of `sensors` at
-    `f` (F,) [Hz], in W windows without obstacles at about `v` [m/s], with struts in a `mode`.
+    the frequencies `f` (F,) [Hz], in W windows without obstacles at about the speed `v` [m/s], with
+    struts in the state `mode`.
     """
 
     sensors: Instruments
@@ -163,7 +170,9 @@ class CalmDrive:
         return 2.0 * self.windows / TUNING.hann_lines * self._whittle(spectra)[1]
 
     def _whittle(self, spectra: "Spectra") -> tuple[float, float]:
-        """Return the factor on the road's density that fits best, and one window's deviance."""
+        """Return the factor on the density of the road that fits the periodogram best, beside that
+        of forces and noise, and the deviance of one window's lines.
+        """
         road, forces = spectra.of_channels
         others = forces + (self.weights**2 @ self.sensors.noise_densities**2)[:, None]
         power, level = self.power.mean(axis=0), 1.0
@@ -176,8 +185,9 @@ class CalmDrive:
 
 
 class Spectra(NamedTuple):
-    """Responses `H` (F, S + 2, 2) to wheel paths and `H_force` (F, S + 2, 4) to strut forces, with
-    struts of this `damping` (4,) on a road of this `prior`, and the spectra `S` and `D` of both.
+    """Responses `H` (F, S + 2, 2) to wheel paths and `H_force` (F, S + 2, 4) to strut forces, of
+    sensors and body, with struts of this `damping` (4,) on a road of this `prior`, and the spectra
+    `S` and `D` of paths and of residual strut forces.
     """
 
     vehicle: SensedVehicle

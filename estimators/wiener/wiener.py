@@ -7,10 +7,11 @@ training is needed. Missing, clipped or truncated signals only remove informatio
 smoothed on its own (`iteration.py`) and blended with its neighbours.
 
     wiener            the best linear estimate. With linear struts the error would reach the bound
-    iterated_wiener   each further pass subtracts the deviation of friction and damper curves from
-                      the equivalent dampers, as expected on the estimated strut motion, and smooths
-                      again: a dozen come close to the maximum a posteriori estimate with the
-                      nonlinear vehicle, at the cost of Fourier transforms
+    iterated_wiener   each further pass computes the deviation of friction and damper curves from
+                      the equivalent dampers on the estimated strut motion (its expectation where
+                      that is uncertain), subtracts it from the accelerations and smooths again
+                      (`iteration.py`): a dozen passes come close to the maximum a posteriori
+                      estimate with the nonlinear vehicle, at the cost of Fourier transforms
 
 A vehicle that departs from its description is adapted to the very drive (`adaptation.py`, `adapt`);
 what its tolerances leave unknown is part of the standard deviations.
@@ -56,7 +57,9 @@ class Wiener(CalibratedByIdentification):
         return self._estimate(record, car, 1)
 
     def _estimate(self, record: Record, car: VehicleParameters, passes: int) -> Estimate:
-        """Estimate both wheel paths, of a vehicle adapted to the drive if it departs."""
+        """Estimate both wheel paths, of a vehicle adapted to the drive if it departs from its
+        description; `std_factor` scales the standard deviations in the scored band.
+        """
         record, car = self.as_identified(record, car)
         odometer = calibrate_odometer(record)
         record = odometer.record
@@ -64,9 +67,11 @@ class Wiener(CalibratedByIdentification):
         stations = profile_stations(record.length)
         total, total_std, weights = (np.zeros((2, stations.size)) for _ in range(3))
         masked = mask_record(record, sensors)
-        notes, found = [*masked.notes], None
+        notes = [*masked.notes]
+        found = None
         segments = list(split_segments(masked, TUNING.segment_length, TUNING.segment_margin))
-        k, vehicle = len(segments) // 2, SensedVehicle.of(car, sensors)
+        vehicle = SensedVehicle.of(car, sensors)
+        k = len(segments) // 2
         fit: Callable[[Segment], SpectralModel] = partial(fit_hyperparameters, vehicle)
         middle = fit(segments[k])
         unexplained = float(np.mean(middle.noise_scale))
