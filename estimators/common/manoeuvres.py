@@ -36,7 +36,8 @@ _ROAD_RATIO, _HEAVE_RATIO, _FAR_RATIO = 1.4, 1.9, 3.5
 # Slow roll at the other end of a turn over that from which on one is found: friction and stiffer
 # springs make the release slower than the build-up
 _RELEASE = 0.5
-# Distance [m] of the two sensors across, and duration [s], below which no roll is looked at
+# Lateral distance [m] of the two sensors, and duration [s] of a record, below which no roll is
+# looked at
 _LEAST_DISTANCE, _LEAST_DURATION = 0.8, 8.0
 _LONGEST_TURN = 10.0  # longest time [s] between the slow rolls of one turn
 

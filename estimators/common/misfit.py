@@ -4,8 +4,9 @@ import math
 
 NOISE_SCALE_WARNING = 2.0
 """Power of the residual over that of the sensors' noise from which on the vehicle counts as
-different. With the paper's instruments it is 0.85 to 1.3 for the vehicle and mode described, 1.7 to
-2.4 in ride if handling was driven (below the other way round), above 40 for one of grade S2.
+different from the model, and a note says so. With the paper's instruments it is 0.85 to 1.3 for the
+vehicle and mode described, 1.7 to 2.4 in ride if handling was driven, and above 40 for a vehicle of
+grade S2; a drive in ride that is described as handling stays below.
 """
 
 

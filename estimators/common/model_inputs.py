@@ -98,7 +98,7 @@ def rest_state(car: VehicleParameters, inputs: ModelInputs) -> np.ndarray:
     """Return the state (14,) or, with a flexible frame, (16,) at rest on a level apron, but for
     1e-7: exactly at rest the friction law has a kink and no tangent.
     """
-    plant = build_plant(car)  # 1e-7 beside it, as the friction law at rest has no tangent
+    plant = build_plant(car)
     if car.tyre_static_deflection != "equilibrium":
         return np.full(2 * plant.n_dof, 1e-7)  # the paper's start, some millimetres off
     return equilibrium(plant, settled_strut_state(int(inputs.commands[0])), np.zeros(4)) + 1e-7

@@ -36,7 +36,9 @@ from road_envs.records.record import DistanceScale, Estimate, Record, profile_st
 _LENGTHS = (0.5, 100.0)  # least and greatest L [m] looked for; it must be passed within the record
 _MAX_SPEED_ERROR = 0.1  # greatest relative error of a speed signal that is believed
 _MIN_DISPLACEMENT = 0.005  # displacement [m] below which nothing is corrected
-_CLEARNESS = 10.0  # least ratio of the displacement to the RMS that a fit leaves, or its deviation
+# Least ratio of the displacement to what the fit leaves, root mean square, or to its standard
+# deviation
+_CLEARNESS = 10.0
 # Distance [m] before which fixes are not said to wander, online, and least rms [m] from there on
 _MIN_WANDER_LENGTH, _ONLINE_WANDER = 10.0, 0.02
 WANDER_NOTE = (

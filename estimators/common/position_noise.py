@@ -26,7 +26,8 @@ SPEED_STD = 0.02  # standard deviation of the relative error of a speed signal, 
 _OFFSET_STD = 100.0  # [m] of the offset, beforehand: it is not known
 _WHITE_STD = 0.03  # [m] of errors of single fixes that are not correlated
 _SIGMAS, _LATENCIES = np.geomspace(0.2, 12.0, 14), np.geomspace(0.1, 5.0, 8)  # [m], l [s]
-_SIGMA, _LATENCY, _LOG_STD = 2.0, 0.7, 0.7  # medians beforehand, deviation of their logarithms
+# Medians of both beforehand, and the standard deviation of their logarithms
+_SIGMA, _LATENCY, _LOG_STD = 2.0, 0.7, 0.7
 _BLOCK, _MAX_BLOCKS = 0.25, 150  # time [s] over which positions are averaged; most of them
 
 

@@ -47,7 +47,9 @@ _FOLDS = 5
 _RIDGES = np.append(10.0 ** np.arange(-4.0, 2.0), np.inf)
 _SPEED_RATIO = 1.15  # factor of the speed up to which a correction is used
 _CORRECTION_REACH = 40  # stations to either side in the window of motions; a causal one has its lag
-_UNEXPLAINED_MAX = 0.97  # largest share of a road's mean square that cross-validation may leave
+# Largest share of a road's mean square that cross-validation may leave; unrelated profiles leave
+# all of it
+_UNEXPLAINED_MAX = 0.97
 NOTE = "corrected by a calibration drive of this vehicle"
 
 
@@ -94,7 +96,6 @@ class Prediction(NamedTuple):
         windows = motion_windows(signals, _CORRECTION_REACH, ahead, causal)
         x = np.concatenate(list(windows), axis=1).T / self.motion_unit
         own = (keep_short_waves(self.estimate, causal) / self.unit)[:, None]
-        # m and q have the same motions, since the vehicle's body may be asymmetric
         return np.concatenate([self.hidden, np.array([x, x]), own], axis=1)
 
 

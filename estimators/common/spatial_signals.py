@@ -45,8 +45,11 @@ _LOWPASS = signal.firwin(
 )
 
 _F_VELOCITY = 0.3  # high-pass of the velocities [Hz]: below, integrated drift is as large as motion
-BANDS = np.geomspace(5.0, SCORED_F_MAX, 6)  # limits [Hz] of bands whose powers are compared
-_NOISE_ENERGY = 0.05  # [m²/s³] in every band, of 0.05 m/s² over 20 s, so ratios of nothing are 1
+# Limits of the frequency bands [Hz] in which the powers of the motions are compared
+BANDS = np.geomspace(5.0, SCORED_F_MAX, 6)
+# Energy [m²/s³] that is added to that of every motion in every band: of noise of 0.05 m/s² over
+# 20 s. Ratios are 1 where nothing has been measured.
+_NOISE_ENERGY = 0.05
 LEVEL_MIN = 3e-4  # added to the level of heights [m], so that noise on level roads is not amplified
 N_HIGH_PASS = 0.05  # high-pass of the target heights [cycles/m]: accelerations fall with n² v²
 _N_SHORT = 0.15  # spatial frequency [cycles/m] above which waves are short

@@ -30,8 +30,8 @@ _MIN_LOG_RATIO = TUNING.min_log_ratio
 
 
 class WindowFilter:
-    """Filter of a drive that emits the stations of an `output`. With `smoothing` it returns what
-    the smoother needs of each part of a window.
+    """Filter of a drive that emits the stations of an `output`. With `smoothing` the latest parts
+    of windows are kept, so that a step accepted later corrects what the smoother reads of them.
     """
 
     def __init__(self, run: FilterRun, output: ProfileOutput, *, smoothing: bool = False):

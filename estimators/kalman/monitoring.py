@@ -112,5 +112,4 @@ def reduce_slope(long: np.ndarray, share: np.ndarray) -> np.ndarray:
     """
     if (share >= 1.0).all():
         return long
-    # a lost filter drifts by metres: reduced itself, it would end in a step where the share is 1
     return long[:, :1] + np.cumsum(share * np.diff(long, axis=1, prepend=long[:, :1]), axis=1)

@@ -30,9 +30,9 @@ class ProfileOutput:
 
     Schedule: node numbers `node` (M,); the number of blocks `emit_block` (M,) after which each is
     emitted; `cutoff` (2, M) [cycles/node] of the kernel `low`, for height and for variance;
-    `detrended`: whether long waves are subtracted from the
-    height (from the variance they always are); `both_axles`: whether the rear axle has passed a
-    station then. Results: heights `z` [m] and their in-band `variance` [m²] (M, 2), left and right.
+    `detrended`: whether long waves are subtracted from the height (from the variance they always
+    are); `both_axles`: whether the rear axle has passed a station then. Results: heights `z` [m]
+    and their in-band `variance` [m²] (M, 2), left and right.
     """
 
     node: np.ndarray

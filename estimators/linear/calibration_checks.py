@@ -9,7 +9,9 @@ from estimators.api import CalibrationDrive, CalibrationError
 from estimators.linear.impulse_responses import F_BODY, RATE, IdentifiedResponses, RoadDrive
 from road_envs.records.record import F_C, Profile
 
-_LENGTH_MIN = 25.0  # shortest distance [m] in one state: five of the longest scored waves
+# Shortest distance [m] that is of use, of all drives in one state together: five of the longest
+# waves of the scored band
+_LENGTH_MIN = 25.0
 # Least number of independent frequencies in the road's acceleration, of each wheel path and of
 # their difference. A tenth of what 100 m of an ISO 8608 road have; a sine has one or two.
 _FREQUENCIES_MIN = 30.0

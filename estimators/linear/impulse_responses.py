@@ -32,7 +32,9 @@ from road_envs.records.record import F_C, Profile, Record
 RATE = 62.5  # rate [Hz] of signals and taps, 2.5 times the bandwidth F_C
 OVERSAMPLING = 8  # instants per sample at which the road under an axle is read, before its low-pass
 _STOP_FREQUENCY = 36.0  # [Hz] from which the low-pass of the road's acceleration leaves nothing
-MEMORY = 1.2  # [s] of the responses: to a tenth, of bounce at 1.2 Hz with a damping ratio of 0.25
+# Duration of the responses [s]: bounce at 1.2 Hz with a damping ratio of 0.25 has then fallen to
+# a tenth
+MEMORY = 1.2
 N_TAPS = int(MEMORY * RATE)
 AR_ORDER = 12
 _SEGMENTS = 5  # parts of each drive; every one is predicted from the others
@@ -217,8 +219,7 @@ def _posterior(sums: LeastSquaresSums, j: int, settings: np.ndarray) -> tuple[fl
     """Return the negative log marginal likelihood of sensor `j` and its taps' posterior mean (p,).
     `settings`: log c, logit lambda, log of the noise variance.
     """
-    # `settings`: log c, logit lambda, log of the noise variance. Taps are F w with white w: M is
-    # the Gram matrix of w, F' (X'X) F block by block of inputs
+    # taps are F w with white w: M is the Gram matrix of w, F' (X'X) F block by block of inputs
     F = _kernel_factor(settings[0], 1.0 / (1.0 + np.exp(-settings[1])))
     inputs, noise = len(sums.XX) // N_TAPS, float(np.exp(settings[2]))
     blocks = sums.XX.reshape(inputs, N_TAPS, inputs, N_TAPS)

@@ -58,7 +58,8 @@ from road_envs.vehicle.parameters import VehicleParameters
 _PADDING_TIME = 8.0  # zeros [s] appended to a record before it repeats in the DFT circle
 _FADE_RATIO = 1.2  # the response fades to zero from F_C to this multiple of it
 _MIN_LEVER = 0.1  # least singular value of lever arms [m]: with less, noise hides the rotations
-_OCTAVE_SHARE = 1.0 / 3.0  # width of the bands in which the inverse's spectrum is averaged
+# Width of the bands in which the spectrum of the inverse is averaged, in octaves
+_OCTAVE_SHARE = 1.0 / 3.0
 PATHS = 0.5 * np.array([[1.0, 1.0, 0.0, 0.0], [1.0, -1.0, 0.0, 0.0],
                         [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, -1.0]])  # fmt: skip
 """From heights in wheel order to mean and half difference under the front and the rear axle."""

@@ -38,7 +38,8 @@ from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.side_values import side_values
 
-_SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}  # that may be given without a word, in m/s
+# Units in which a speed may be given without a word, and their factors to m/s
+_SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}
 
 
 @dataclass(frozen=True)
@@ -228,10 +229,8 @@ def _deviance(record: Record, car: VehicleParameters, instruments: str) -> _Devi
 
 
 def _middle(record: Record) -> Record | None:
-    """Return `checked_length` in the middle of a record, from station 0 on.
-
-    None if the states of the struts change or the record has few channels: no description of it is
-    checked then.
+    """Return `checked_length` in the middle of a record, from station 0 on; None if the state of
+    the struts changes or the channels are few, as such a record is not checked.
     """
     if record.is_switched or len(record.channels) < TUNING.least_channels:
         return None

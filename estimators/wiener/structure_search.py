@@ -46,7 +46,8 @@ _FRAME_TOLERANCES = {
     "variation.frame.f": Tolerance(relative=0.1, source="found in the spectrum of the drive"),
     "variation.frame.zeta": Tolerance(relative=0.4, source="as its frequency"),
 }
-_HANN_KERNEL = np.array([1.0, 4.0, 1.0]) / 6.0  # power of a Hann window's line from its neighbours
+# Power that a line of a Hann window takes from its neighbours
+_HANN_KERNEL = np.array([1.0, 4.0, 1.0]) / 6.0
 
 
 def with_bending(record: Record, car: VehicleParameters, instruments: str) -> VehicleParameters:
