@@ -123,8 +123,10 @@ class CalibrationError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class CalibrationDrive:
-    """A drive of the vehicle that is to be known better. `profile`: the road if it was measured,
-    with independent survey errors of the standard deviation `survey_std` [m].
+    """A drive of the vehicle that is to be known better, before the drives that matter.
+
+    `profile` is the road if it was measured, with independent survey errors of the standard
+    deviation `survey_std` [m]; None over a road that nobody measured.
     """
 
     record: Record
@@ -140,8 +142,10 @@ class Calibratable(Estimator, Protocol):
     """
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
-        """Return a copy for the vehicle of these `drives`, described by `car`; a second calibration
-        replaces the first. Roads may be measured or not. Raises CalibrationError, ArithmeticError.
+        """Return a copy for the vehicle of these `drives`, of which `car` is the description.
+
+        Drives over measured and unmeasured roads may be mixed. A second calibration replaces the
+        first. Raises CalibrationError, ArithmeticError.
         """
 
 
@@ -226,7 +230,9 @@ def check_class(cls: Any) -> Any:
 
 
 def check_estimate(estimate: object, record: Record) -> None:
-    """Raise EstimateError unless `estimate` has finite heights at the stations of `record`."""
+    """Raise EstimateError unless `estimate` is valid for `record`: finite heights of both wheel
+    paths at the stations `profile_stations(record.length)`, in this order.
+    """
     if not isinstance(estimate, Estimate):
         raise EstimateError(f"expected an Estimate, got {type(estimate).__name__}")
     stations = profile_stations(record.length)

@@ -44,9 +44,11 @@ _LEAST_SECONDS, _MOST_LOST = 5.0, 0.05  # of a record whose density is known wel
 def undo_low_pass(
     record: Record, valid: np.ndarray, noise_density: float = 0.0
 ) -> tuple[Record, np.ndarray, tuple[str, ...]]:
-    """Return a record whose accelerations are as sampled up to its bandwidth, and its low-pass one
-    without an order; which samples of them are `valid` (k, N), and notes. By a `noise_density`
-    [(m/s²)/sqrt(Hz)] of the accelerometers above 0 filters that are not named are noticed.
+    """Return a record whose accelerations are as sampled up to its bandwidth, which samples of them
+    are `valid` (k, N), and notes.
+
+    Its low-pass is then one without an order. `noise_density` [(m/s²)/sqrt(Hz)] of the
+    accelerometers, by which a filter that the record does not name is noticed; 0: it is not.
     """
     fs, low_pass, a = record.fs, record.low_pass, bridge(record.a)
     named = low_pass is not None

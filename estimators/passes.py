@@ -6,6 +6,10 @@ of the first (`estimators.common.alignment`). Then the road is estimated from al
 by an estimator that can (`JointEstimator`). For any other it is the mean of the single estimates,
 weighted by inverse variance at each station where they have standard deviations.
 
+Call it with records and vehicles, and with names for the messages:
+
+    road = estimate_passes("map_smoother", [first, second, third], "land_rover_defender_110")
+
 All vehicles are supposed to have driven in the same wheel paths: lateral wander is neglected.
 """
 
@@ -131,7 +135,9 @@ def _load_vehicles(vehicles: _Vehicle | Sequence[_Vehicle], count: int) -> list[
 def align_passes(
     records: Sequence[Record], estimates: Sequence[Estimate], names: Sequence[str]
 ) -> tuple[list[AlignedPass], list[str]]:
-    """Return the passes on the stations of the first, and notes. Raises ConfigError."""
+    """Return the passes on the stations of the first, and notes on what was found. Raises
+    ConfigError if a pass does not match.
+    """
     reference, first = records[0], estimates[0]
     aligned = [AlignedPass(names[0], reference, first, identity_map(reference.length))]
     notes = []
@@ -180,10 +186,12 @@ def _match(
 
 
 def _combine(passes: Sequence[AlignedPass]) -> Estimate:
-    """Return the mean of the single estimates on the stations of the first, weighted by inverse
-    variances where all have standard deviations. Means are taken of the increments, so that no step
-    arises where a pass begins or a weight changes. The standard deviation is that of independent
-    errors, times the Birge ratio where passes disagree by more (Birge, Phys. Rev. 40, 1932, 207).
+    """Return the mean of the single estimates on the stations of the first, one road.
+
+    Weights are inverse variances where every estimate has standard deviations, else equal. Means
+    are taken of the increments, so that no step arises where a pass begins or a weight changes. The
+    standard deviation is that of independent errors, times the Birge ratio where the passes
+    disagree by more than that (Birge, Phys. Rev. 40, 1932, 207).
     """
     if len(passes) == 1:
         return passes[0].estimate

@@ -1,8 +1,12 @@
 """Checks and cleaning of records: refusal of unusable ones, validity of samples, notes.
 
-Three views follow the same rules: `mask_record` for estimators that can leave samples out,
-`restore_times` for those whose model predicts samples at any time, and `clean_record` for those
-that need every sample, which also limits how much of a channel may be missing.
+Three views follow the same rules. An estimator that can leave samples out takes the first, one
+whose model predicts samples at any time the second, one that needs every sample the third, which
+also limits how much of a channel may be missing:
+
+    mask_record(record, instruments)   an even clock, and which samples are valid
+    restore_times(masked, record, ...) the same, with each sample at its own time
+    clean_record(record)               an even clock, with missing samples interpolated
 
 A sample is valid if it is finite, below the instruments' range, and not within the reach of the
 anti-alias filter from one beyond it. Samples at standstill are valid, as the vehicle model

@@ -1,5 +1,7 @@
 """Weights in safetensors files (no pickle), including those shipped with the package.
 
+    estimators/weights/<name>.safetensors
+
 The metadata of a file holds, as text: format, package version, command, seed and digest of the
 configuration that produced it.
 """

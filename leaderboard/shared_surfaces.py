@@ -41,7 +41,9 @@ class _FixedSurface:
     seed: int | None = None
     is_surveyed: bool = False
 
-    def __eq__(self, other: Any) -> bool:
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, _FixedSurface):
+            return NotImplemented
         if None not in (self.seed, other.seed):
             return self.seed == other.seed
         if _largest_correlation(self.rises, other.rises) >= _LEAST_CORRELATION:

@@ -36,15 +36,18 @@ _CHUNK_STEPS = 20_000  # steps that are simulated at a time
 # Explained share of the measured power from which on an estimate is left as it is. Linear
 # smoothers explain more than 0.8 on roads up to class D and on bumps, none where wheels fly.
 _TRUSTED_SHARE = 0.7
-_SETTLING_TIME = 2.0  # [s] not compared, two periods of bounce: the simulation starts at rest
+# Time [s] at the beginning of a record that is not compared: the simulation starts at rest, a
+# record may begin in motion. Two periods of the body's bounce.
+_SETTLING_TIME = 2.0
 _MAX_SPEED_STEP = 0.001  # longest step [s] of the simulation
 _IMPOSSIBLE_RATIO = 2.0
 """Accelerations that heights demand over those measured, as RMS, from which on they are impossible.
 
 The true road under the described vehicle has 1.2 at most where a vehicle of grade S0 to S3 drove
 over classes A to D, Belgian paving and speed bumps at 14.5 to 100 km/h, 1.4 on potholes and 1.95 on
-class E; the washboard 1.7, and 2.4 at 75 km/h, where its waves are beyond F_C; three times its
-heights 2.2 or more; class F from 54 km/h on, over which vehicles fly, up to 4.
+class E; the washboard 1.7, and 2.4 at 75 km/h, where its waves are beyond F_C. Three times the
+heights of the washboard have 2.2 or more. Class F from 54 km/h on, over which vehicles fly and no
+description tells where they land, has up to 4 times.
 """
 # Share of the drive's mean power in all bands, and factor of the power of the sensors' noise,
 # below which measured accelerations count as so large. So they do below the mean power in their own
@@ -52,7 +55,8 @@ heights 2.2 or more; class F from 54 km/h on, over which vehicles fly, up to 4.
 _LEAST_OF_ALL, _NOISE_MARGIN = 0.003, 9.0
 # Time [s] at the beginning, and largest share of a drive, that makes no heights impossible
 _LONGEST_SETTLING, _SETTLING_SHARE = 4.0, 0.5
-# Edges of the bands [Hz] about the resonances of the body, of the axles, and between them
+# Edges of the bands [Hz] in which accelerations are compared: about the resonances of the body,
+# of the axles, and between them
 _IMPOSSIBLE_BANDS = (0.3, 2.0, 8.0, F_C)
 
 
@@ -61,8 +65,9 @@ def trusted_share(
 ) -> np.ndarray:
     """Return by how much (M,), 0 to 1, heights `z` (2, M) [m] of the `record` are to be trusted.
 
-    It is 1 where the accelerations of `car` below F_C explain _TRUSTED_SHARE or more of the
-    measured power, in `valid` (k, N) samples after _SETTLING_TIME, 0 where they explain nothing.
+    It is 1 where the accelerations of `car` on them explain _TRUSTED_SHARE or more of the measured
+    power, 0 where they explain nothing. `valid` (k, N): samples that are compared, after the first
+    _SETTLING_TIME.
     """
     measured, predicted, finite = _motions(record, valid, car, sensors, z)
     motions = [
@@ -76,7 +81,9 @@ def trusted_share(
 def _motions(
     record: Record, valid: np.ndarray, car: VehicleParameters, sensors: Instruments, z: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return accelerations (k, N) measured and of `car`, and where (N,) the latter are finite."""
+    """Return the accelerations (k, N) measured and those of `car` on heights `z` (2, M) [m], in
+    `valid` (k, N) samples, and where (N,) the latter are finite.
+    """
     inputs = build_model_inputs(record, sensors, car, _MAX_SPEED_STEP)
     predicted = _simulate_sensors(inputs, car, sensors, z)[:, : record.t.size]
     finite = np.isfinite(predicted).all(axis=0)
@@ -86,8 +93,8 @@ def _motions(
 def _by_station(
     motions: list[np.ndarray], finite: np.ndarray, record: Record, wheelbase: float, after: float
 ) -> np.ndarray:
-    """Return the powers (2, M) of two `motions` about stations, of samples `after` the first [s];
-    that of the second is very large where its motion is not `finite` (N,).
+    """Return the powers (2, M) about the stations of two `motions` (k, N), summed over samples
+    later than `after` [s] from the beginning; the second is infinite where not `finite` (N,).
     """
     power = np.array([(x**2).sum(axis=0) for x in motions])
     power[1, ~finite] = np.inf
@@ -199,7 +206,8 @@ def _simulate_sensors(
     pad = int(np.ceil((car.wheelbase + 5.0) / PROFILE_SPACING)) + 4
     footprint = Footprint.of(car.variation.contact_length, PROFILE_SPACING)
     c = footprint.apply(np.pad(z, ((0, 0), (pad, pad)), mode="edge"))
-    node, wheelbase = inputs.s / PROFILE_SPACING + pad, car.wheelbase / PROFILE_SPACING
+    node = inputs.s / PROFILE_SPACING + pad
+    wheelbase = car.wheelbase / PROFILE_SPACING
     state, strut_state = rest_state(car, inputs), settled_strut_state(int(inputs.commands[0]))
     a = np.full((rows.shape[0], inputs.n_steps), np.nan)
     for first in range(0, inputs.n_steps, _CHUNK_STEPS):

@@ -55,7 +55,8 @@ def setup_run(
             f"the odometer jumps by {moved:.2f} m within {steps_per_block * model_inputs.h:.3g} s; "
             f"at most {most:.2f} m are allowed: cut the record at the jump or correct s"
         )
-    behind, ds = car.wheelbase + TUNING.initial_length, TUNING.node_spacing
+    behind = car.wheelbase + TUNING.initial_length
+    ds = TUNING.node_spacing
     origin = float(s[0]) - ds * np.ceil(behind / ds)  # a node at the start
     ends = np.array([0.0, record.length]) if level_ends else np.array([-np.inf, np.inf])
     means = measurements.y, measurements.sample_count, measurements.censored_blocks
@@ -115,6 +116,7 @@ def _build_model(
     steps_per_block: int,
     noise_variance: float,
 ) -> FilterModel:
+    """Return a run's constants; `noise_variance` [(m/s²)²] of a sample."""
     one, locations = build_plant(car), instruments.locations(car)
     line, bending = linearise(one, "ride", locations), sensed_bending(car, locations)
     # a constant force over so short a time as a block moves the vehicle like free masses

@@ -106,16 +106,18 @@ class RoadProcess(NamedTuple):
         return ((self.first_node + 2 * (nodes % self.n_nodes))[:, None] + np.arange(2)).ravel()
 
     def update_roughness(
-        self, x: np.ndarray, P: np.ndarray, adaptive: np.ndarray, jumps: np.ndarray, passed: range
+        self, x: np.ndarray, P: np.ndarray, adaptive: np.ndarray, square: np.ndarray, passed: range
     ) -> None:
         """Update the roughness scale by the increments up to each node of `passed`; one with an
-        accepted step in `jumps` (N, 2) is none of the prior. One step of expectation maximization:
-        the expected square is the squared mean plus the variance.
+        accepted step in `square` (N, 2) is none of the prior.
+
+        One step of expectation maximization: the expected square is the squared mean plus the
+        variance.
         """
         span = self.increment_span
         kept = 1.0 - 0.5 / self.roughness_memory  # half a node: there are two components
         for node in passed:
-            if jumps[node - span - 1 : node + 2].any():
+            if square[node - span - 1 : node + 2].any():
                 continue
             for a, b in self.node_entries(np.array([node, node - span])).reshape(2, 2).T:
                 increment = (x[a] - x[b]) ** 2 + P[a, a] + P[b, b] - 2.0 * P[a, b]

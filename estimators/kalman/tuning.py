@@ -21,8 +21,9 @@ class _Tuning:
     circulant_length: Annotated[float, "m", "least circle for covariances by FFT"] = 400.0
     increment_length: Annotated[float, "m", "of the increments that tell the roughness"] = 0.5
     roughness_length: Annotated[float, "m", "over which roughness is averaged"] = 8.0
-    min_roughness_scale: Annotated[float, "", "over the prior's, far below class A"] = 1e-4
-    max_roughness_scale: Annotated[float, "", "over the prior's, far above class H"] = 1e3
+    # far beyond classes A to H
+    min_roughness_scale: Annotated[float, "", "least roughness over the prior's"] = 1e-4
+    max_roughness_scale: Annotated[float, "", "greatest roughness over the prior's"] = 1e3
     window_length: Annotated[float, "m", "that the vehicle moves in a window, or one block"] = 0.3
     max_blocks: Annotated[int, "", "most blocks in a window"] = 24
     # each chunk is smoothed with the next one only: long waves show at the joints of shorter ones
@@ -37,9 +38,11 @@ class _Tuning:
     bias_std: Annotated[float, "m/s²", "prior standard deviation of the sensor biases"] = 0.05
     noise_time: Annotated[float, "s", "time constant of the noise scale"] = 1.2
     force_correlation_time: Annotated[float, "s", "of a strut force residual"] = 0.005
-    std_inflation: Annotated[float, "", "on a strut rate's: P lacks other linearizations"] = 1.2
+    # P lacks the errors of the filter's other linearizations
+    std_inflation: Annotated[float, "", "factor on the standard deviation of a strut rate"] = 1.2
     max_nis: Annotated[float, "", "NIS per measurement to which innovations are reduced"] = 16.0
-    max_limit: Annotated[float, "", "most deviations of a limit, which may be a fault"] = 1.5
+    # clipping may be a fault of the sensor
+    max_limit: Annotated[float, "", "most deviations of a clipped sample's limit"] = 1.5
     # steps of the road; deviations are of bumps and potholes of 25 to 100 mm, over 1 to 3 nodes
     jump_length: Annotated[float, "m", "behind the newest node whose nodes are candidates"] = 0.3
     jump_std: Annotated[float, "m", "prior standard deviation of a step"] = 0.04

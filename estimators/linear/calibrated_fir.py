@@ -63,7 +63,9 @@ _NODE_SPACING = (0.1, 0.25)  # least and greatest spacing [m] of nodes
 _DRAWS = 40  # samples of the posterior for the standard deviation
 _SMOOTHING = 5.0  # distance [m] over which the power of the samples is averaged
 _VALIDATED = 3  # calibration drives at most on which standard deviations are calibrated
-_MAX_HELD_OUT = 0.7  # greatest error on held-out parts of the road, over it; 1 is no information
+# Greatest error on held-out parts of the road, over the road, of responses that are used; 1 is no
+# information
+_MAX_HELD_OUT = 0.7
 _FAR_SPEED = 1.3  # factor between the speeds of calibration and drive from which on a note is given
 
 
@@ -214,9 +216,10 @@ class CalibratedFir(Settings):
             record = calibrate_odometer(clean_record(drive.record, None)[0]).record
             groups.setdefault(_state(record).tobytes(), []).append(replace(drive, record=record))
         for key, group in groups.items():
-            prior = kept[key].responses.taps if key in kept else np.zeros(0)
-            is_alike = len(prior) == len(group[0].record.a)
-            kept[key] = _identify_state(group, axles, prior if is_alike else None)
+            prior = kept[key].responses.taps if key in kept else None
+            if prior is not None and len(prior) != len(group[0].record.a):
+                prior = None
+            kept[key] = _identify_state(group, axles, prior)
         return copy_with(self, fitted_state=_VehicleResponses(tuple(kept.values()), axles))
 
 

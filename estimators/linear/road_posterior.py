@@ -26,9 +26,11 @@ _LEVEL_LENGTH = 16.0
 # Length [m] over which the difference of the paths is pulled towards zero: about 1 / (2 pi n),
 # with the n of 0.13 cycles/m at which the coherence of paths 1.5 m apart is one half
 _PATH_LENGTH = 1.2
-# First guess of the logarithms of the variance of the rise over a metre [m²], and of noise factor
+# First guess of the logarithms of the variance of the rise over a metre [m²], and of the factor
+# on the noise
 START = np.array([np.log(1e-5), 0.0])
-_SEARCHED = 8.0  # largest change of the logarithm of noise over rise in the search for settings
+# Largest change of the logarithm of the ratio of noise to rise in the search for the settings
+_SEARCHED = 8.0
 
 
 class Nodes(NamedTuple):
@@ -117,7 +119,8 @@ class NormalEquations(NamedTuple):
         taps = np.pad(responses.taps, ((0, 0), (0, 0), (0, 0), (0, white.size - 1)))
         taps = np.einsum("ij,jxpt->xpti", mix, signal.lfilter(white, 1.0, taps, axis=3))
         y = mix @ signal.lfilter(white, 1.0, a)
-        (n_taps, k), N = taps.shape[2:], a.shape[1]
+        n_taps, k = taps.shape[2:]
+        N = a.shape[1]
         # a chunk of samples involves the nodes low to high alone: its H'H fills the bands of these
         # nodes, and a full H is never needed. Left and right coefficient of a node stand side by
         # side

@@ -37,41 +37,57 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 @dataclass(frozen=True, eq=False)
 class _ExpectedInformation:
-    """Linearizations of one objective `at` several roads, with the interface of a single one as far
-    as samples need it: the information on the unknowns is their mean, I + E[J' R^-1 J].
+    """Linearizations `at` several roads, whose information on the unknowns is averaged.
+
+    It has the interface of one linearization as far as samples need it.
     """
 
     at: Sequence[Linearization]
 
     @property
     def objective(self) -> Objective:
+        """The objective, which all have in common."""
         return self.at[0].objective
 
     def hessian_product(self, dx: np.ndarray) -> np.ndarray:
+        """Return I + E[J' R^-1 J] times `dx`."""
         return np.mean([one.hessian_product(dx) for one in self.at], axis=0)
 
     def offset_scale(self, *noise: Any) -> np.ndarray:
-        """The scale at the first road stands for all."""
+        """Return that of the first, as of `Linearization.offset_scale`."""
         return self.at[0].offset_scale(*noise)
 
     def draw_noise(self, rng: np.random.Generator) -> list[list[np.ndarray]]:
+        """Return R^-1/2 times white noise for each road."""
         return [one.draw_noise(rng) for one in self.at]
 
     def adjoint(self, means: Sequence[Means]) -> np.ndarray:
-        """The root of the number of roads makes the covariance of what is drawn E[J' R^-1 J]."""
+        """Return `x` from block means of each road, of covariance E[J' R^-1 J] if these are
+        drawn noise.
+        """
         pairs = zip(self.at, means, strict=True)
         return np.sum([one.adjoint(part) for one, part in pairs], axis=0) / np.sqrt(len(self.at))
 
 
 def attainable_error(
-    record: Record, truth: Profile, car: VehicleParameters, prior: RoadPrior, **measured: Any
+    record: Record,
+    truth: Profile,
+    car: VehicleParameters,
+    prior: RoadPrior,
+    *,
+    bandwidth: float = 100.0,
+    instruments: str = "paper",
+    noise_density: float | None = None,
 ) -> float:
     """Return the attainable in-band NRMSE [-], both wheel paths pooled, on the road of `truth`.
-    `record` gives stations, speed and strut states; `measured` as of `_whole_drive`. The prior's
-    density and, on uneven roads, local roughness are fitted to the truth as `map_smoother` fits
-    them to its estimate. Raises RecordError, ArithmeticError, ValueError on a flexible frame.
+
+    `record` gives stations, speed and strut states. The prior's density and, on uneven roads, its
+    local roughness are fitted to the truth as `map_smoother` fits them to its estimate.
+    Accelerations are used up to `bandwidth` [Hz], with the noise of the `instruments` or of
+    `noise_density` [(m/s²)/sqrt(Hz)]. Raises RecordError, ArithmeticError, ValueError on a flexible
+    frame.
     """
-    objective = _whole_drive(record, car, prior, **measured)
+    objective = _whole_drive(record, car, prior, bandwidth, instruments, noise_density)
     lin = objective.linearize(objective.from_noise(objective.road.noise_of(truth)))
     stationary = stationary_hessian(objective)  # that of the measurements, for any prior
     lin = MapSolution(lin, stationary, np.ones(1)).with_prior().linearization
@@ -79,12 +95,21 @@ def attainable_error(
 
 
 def van_trees_error(
-    record: Record, car: VehicleParameters, prior: RoadPrior, *, roads: int = 16, **measured: Any
+    record: Record,
+    car: VehicleParameters,
+    prior: RoadPrior,
+    *,
+    bandwidth: float = 100.0,
+    instruments: str = "paper",
+    noise_density: float | None = None,
+    roads: int = 16,
 ) -> float:
     """Return the least in-band NRMSE [-] of any estimator, both wheel paths pooled, over the roads
-    of a Gaussian `prior`, of which so many `roads` are drawn; `measured` as of `_whole_drive`.
+    of a Gaussian `prior`.
+
+    The information is averaged over that many `roads`; other arguments as in `attainable_error`.
     """
-    objective = _whole_drive(record, car, prior, **measured)
+    objective = _whole_drive(record, car, prior, bandwidth, instruments, noise_density)
     rng = np.random.default_rng(0)
     points = [rng.standard_normal(objective.size) for _ in range(roads)]
     at = [objective.linearize(x) for x in points]
@@ -95,7 +120,8 @@ def _relative_error(lin: Any, stationary: StationaryHessian, points: Sequence[np
     """Return the root of the mean power in the scored band of samples of the posterior of `lin`, a
     linearization or several, over that of the roads of `points`.
     """
-    objective, road = lin.objective, lin.objective.road
+    objective = lin.objective
+    road = objective.road
     low, high = scored_band(float(objective.passes[0].inputs.v.mean()))
     inside = (road.n >= low) & (road.n <= high)
     middle, rng = interior(road.free, round(1.0 / (low * road.ds))), np.random.default_rng(0)
@@ -114,13 +140,11 @@ def _whole_drive(
     record: Record,
     car: VehicleParameters,
     prior: RoadPrior,
-    bandwidth: float = 100.0,
-    instruments: str = "paper",
+    bandwidth: float,
+    instruments: str,
     noise_density: float | None = None,
 ) -> Objective:
-    """Return the objective of a drive as one window: of accelerations up to `bandwidth` [Hz], with
-    the noise of the `instruments` or of `noise_density` [(m/s²)/sqrt(Hz)].
-    """
+    """Return the objective of a drive as one window, with block means up to `bandwidth` [Hz]."""
     settings = SolverSettings(
         instruments=instruments, noise_density=noise_density, data_rate=2.0 * bandwidth
     )

@@ -68,7 +68,10 @@ def perturbed_passes(
 
 
 def sensitivities(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
-    """Derivatives (P, S, J) of block means by the parameters at `lin`. Raises ArithmeticError."""
+    """Return the derivatives (P, S, J) of the block means by the parameters, at a fixed road.
+
+    `varied` as of `perturbed_passes`. Raises ArithmeticError if a motion is not finite.
+    """
     left = varied_residuals(lin, varied)
     return (left[0] - left[1:]) / TUNING.difference
 
@@ -98,7 +101,7 @@ def reading_sensitivities(lin: LinearizedPass, base: Pass, errors: np.ndarray) -
     found = []
     for k, unit in enumerate(np.eye(errors.size)):
         varied = instruments.apply(base, errors + TUNING.difference * unit)
-        if k < errors.size - 2:  # the vehicle moves as before
+        if k < instruments.n_fixed:  # the vehicle moves as before
             found.append(varied.residual(lin.tape.acceleration, bias))
         else:
             found.append(varied.linearize(lin.c, lin.own).residual)

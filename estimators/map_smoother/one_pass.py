@@ -146,7 +146,9 @@ class Pass:
         return equilibrium(self.model.plant, strut_state, np.zeros(4))
 
     def simulate(self, c: np.ndarray, own: np.ndarray, plant: Plant | None = None) -> Tape:
-        """Tape of a drive over `c` (2, K) by the model or another plant. Raises ArithmeticError."""
+        """Drive over the road of the coefficients `c` (2, K), taped, with the plant of the model or
+        another. Raises ArithmeticError if the motion is not finite.
+        """
         (start, _), inputs, model = self.split(own), self.inputs, self.model
         begin = plant or model.plant, self.strut_state, self.initial_state + start
         road = self.road_under_wheels(c, self.wheelbase(own))
@@ -167,7 +169,9 @@ class Pass:
     def state_after(
         self, c: np.ndarray, own: np.ndarray, steps: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Vehicle state (14,), strut state (4, 3) and filter state after `steps` on `c` (2, K)."""
+        """Vehicle state (14,), strut state (4, 3) and that of the anti-alias filter after `steps`
+        on the road of `c` (2, K).
+        """
         part = replace(self, inputs=self.inputs.slice_steps(0, steps))
         tape, filter_state = part.simulate(c, own), self.filter_state
         if self.model.filter is not None:

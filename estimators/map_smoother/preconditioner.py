@@ -261,8 +261,9 @@ def _linear_model(one: Pass, command: int) -> LinearModel:
 
 
 def _start_information(one: Pass) -> np.ndarray:
-    """Information (14,) on the initial vehicle state, the diagonal of the observability Gramian:
-    the integral of the squared accelerations after a unit deviation, times the sampling rate.
+    """Information (14,) on the initial vehicle state: the diagonal of the observability Gramian,
+    the integral over time of the squared accelerations that all sensors have after a unit deviation
+    of a coordinate, times the sampling rate.
     """
     linear = _linear_model(one, one.inputs.commands[0])
     C = linear.C[: len(one.model.locations)]

@@ -23,8 +23,9 @@ class _Tuning:
     readings_per_unknown: Annotated[float, "", "block means per unknown, at least"] = 2.0
     # the tyre passes on waves that the nodes cannot hold, and longer means keep them out
     axle_readings_per_unknown: Annotated[float, "", "where a sensor is on an axle"] = 1.0
-    # a filter is more than a delay to sensors on the body that have less noise
-    delay_noise_density: Annotated[float, "(m/s²)/sqrt(Hz)", "from which on it is one"] = 5e-3
+    delay_noise_density: Annotated[
+        float, "(m/s²)/sqrt(Hz)", "below which a filter is more than a delay to body sensors"
+    ] = 5e-3
     node_margin: Annotated[int, "", "nodes before the first and behind the last under a wheel"] = 4
     min_blocks: Annotated[int, "", "of a pass in a window, if others have more"] = 32
     knot_spacing: Annotated[float, "m", "of the knots of the shifts, about"] = 10.0
@@ -166,7 +167,8 @@ class _Tuning:
     # deviations, other samples by 0.07 to 0.08 (individual 1501)
     trace_cg: Annotated[_CG, "", "of these samples"] = (40, 0.05)
     tangent_cg: Annotated[_CG, "", "of the road's change"] = (150, 0.01)
-    quick_cg: Annotated[_CG, "", "where the information is least at the solution"] = (30, 0.05)
+    # of systems at whose solution the information is least
+    quick_cg: Annotated[_CG, "", "roughly solved systems"] = (30, 0.05)
     adapt_noise_scale: Annotated[float, "", "from which on a vehicle is fitted"] = 1.15
     # 4 to 88 for vehicles as described, 52 to 1600 for S1 (seed 211); on smooth roads the road
     # takes most of what a wrong vehicle leaves; as many times as much where a drive is as many

@@ -12,14 +12,16 @@ samples of the road under the joint posterior of road, vehicle and instruments
 """
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from estimators.map_smoother.car_fit import CarFit
 from estimators.map_smoother.instrument_errors import InstrumentErrors
-from estimators.map_smoother.marginal_likelihood import reading_sensitivities, varied_residuals
+from estimators.map_smoother.marginal_likelihood import (
+    reading_sensitivities,
+    varied_residuals,
+)
 from estimators.map_smoother.one_pass import LinearizedPass
 from estimators.map_smoother.tuning import TUNING
 from road_envs.vehicle.parameters import VehicleParameters
@@ -31,9 +33,10 @@ IDENTIFIED = "identified"
 
 @dataclass(frozen=True, eq=False)
 class VehicleUncertainty:
-    """Errors of a `car` and its instruments: `covariance` (P + R, P + R) of the logarithms of the P
-    parameters `names`, and behind them of the R errors of `InstrumentErrors`. `is_prior`: no drive
-    has been compared with the car yet. Errors of the road count `inflation` times.
+    """Errors of an identified `car` and its instruments: `covariance` (P + R, P + R) of the
+    logarithms of the P parameters `names`, and behind them of the errors of the instruments in the
+    units of `InstrumentErrors`. `is_prior`: no drive has been compared with the car yet. Errors of
+    the road count `inflation` times.
     """
 
     car: VehicleParameters
@@ -43,10 +46,13 @@ class VehicleUncertainty:
     inflation: float = 1.0
 
     @classmethod
-    def of_tolerances(cls, car: VehicleParameters, sensors: tuple[str, ...]) -> Self:
-        """Errors of a `car` by the tolerances that its file states, and of its accelerometers
-        `sensors` by their data sheet. Tolerances that an identification left are no prior: what its
-        drives did not show, no other drive shows, either. Raises ConfigError.
+    def of_tolerances(
+        cls, car: VehicleParameters, sensors: tuple[str, ...]
+    ) -> "VehicleUncertainty":
+        """Return that of a vehicle as described, by the tolerances that its file states, and of
+        accelerometers `sensors` as by their data sheet. Raises ConfigError.
+
+        What an identification left open is what drives do not show: no other one tells it, either.
         """
         space, errors = parameter_space(car), InstrumentErrors(sensors)
         variance = np.concatenate([space.std**2, _unfitted_variance(errors)])
@@ -54,8 +60,12 @@ class VehicleUncertainty:
         return cls(car, space.names, np.diag(variance), is_prior=not identified)
 
     @classmethod
-    def of_fit(cls, fit: CarFit) -> Self:
-        """Errors that a fit leaves; of unfitted instruments as of `_unfitted_variance`."""
+    def of_fit(cls, fit: CarFit) -> "VehicleUncertainty":
+        """Return that of a fit to drives.
+
+        Instruments that were not fitted err as their prior says, but for the odometer, of which
+        nothing is known.
+        """
         space, errors = fit.space, fit.instrument_errors
         unit = np.ones(fit.x.size)
         unit[: space.size] = space.std
@@ -65,8 +75,10 @@ class VehicleUncertainty:
         return cls(fit.car, space.names, covariance)
 
     def draw_changes(self, lin: LinearizedPass, white: np.ndarray) -> np.ndarray:
-        """Samples of G dp (N, S, J) [m/s²], the errors of the block means that `car` predicts at
-        `lin`; `white` (N, P + R) is standard normal. Raises ArithmeticError.
+        """Return samples of G dp (N, S, J) [m/s²]: by how much the block means of a drive are
+        mispredicted at `lin`, which is a linearization with `car`.
+
+        `white` (N, P + R) is standard normal. Raises ArithmeticError.
         """
         values, vectors = np.linalg.eigh(self.covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -80,10 +92,10 @@ class VehicleUncertainty:
 
 
 def _unfitted_variance(errors: InstrumentErrors) -> np.ndarray:
-    """Variances (R,) of errors of instruments that were not fitted: of gains by their data sheet,
-    of places by their prior; odometer and speed, of which nothing is known, have none.
+    """Return the variances (R,) of errors of the instruments that were not fitted: as by their
+    prior, but for the odometer, of which nothing is known.
     """
-    variance, gains = np.ones(len(errors.names)), slice(len(errors.sensors))
+    variance = (np.arange(len(errors.names)) < errors.n_fixed).astype(float)
+    gains = slice(len(errors.sensors))
     variance[gains] = (TUNING.gain_std / errors.std[gains]) ** 2
-    variance[-2:] = 0.0
     return variance

@@ -43,7 +43,9 @@ from road_envs.simulation.rosenbrock import LOAD
 
 
 def unloaded_nodes(lin: Linearization, share: float = TUNING.liftoff_load_share) -> np.ndarray:
-    """Which free nodes (2, K) were passed, but never under this `share` of the mean wheel load."""
+    """Return which free nodes (2, K) were passed but never pressed on by this `share` of the mean
+    wheel load, in any of the passes.
+    """
     light = np.all([_greatest_loads(one) < share for one in lin.passes], axis=0)
     return np.asarray(light & (lin.objective.road.free > 0))
 
@@ -55,7 +57,9 @@ def passed_nodes(lin: Linearization) -> np.ndarray:
 
 
 def _greatest_loads(one: LinearizedPass) -> np.ndarray:
-    """Greatest load (2, K) on each node over the mean wheel load; inf where no wheel has passed."""
+    """Return the greatest load (2, K) on each node over the mean wheel load; inf where no wheel has
+    passed.
+    """
     nodes, s = one.source.nodes, one.source.inputs.s[::2]
     loads = one.tape.signals[:, LOAD : LOAD + 4]
     passed, greatest = np.zeros(nodes.size, dtype=bool), np.zeros((2, nodes.size))
@@ -80,8 +84,9 @@ def relax_unloaded(lin: Linearization) -> np.ndarray | None:
     before = lin.objective.coefficients(lin.x)
     lower = _level if road.is_level_between_obstacles else _straight
     pairs = zip(before, unloaded, strict=True)
-    lowered = [np.where(mask, np.minimum(x, lower(x, mask)), x) for x, mask in pairs]
-    c = np.array(lowered)
+    c = np.array(
+        [np.where(mask, np.minimum(path, lower(path, mask)), path) for path, mask in pairs]
+    )
     if not (before - c).max() > TUNING.min_drop:
         return None
     u = road.whiten(np.diff(c - road.background, axis=1, prepend=0.0))
@@ -89,13 +94,15 @@ def relax_unloaded(lin: Linearization) -> np.ndarray | None:
 
 
 def _straight(path: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The `path` (K,) straight across the nodes in the `mask` (K,)."""
+    """Return the `path` (K,) straight across the nodes in the `mask` (K,)."""
     node = np.arange(path.size)
     return np.interp(node, node[~mask], path[~mask])
 
 
 def _level(path: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The `path` (K,) level in each run of the `mask` (K,), at the lowest of run and neighbours."""
+    """Return the `path` (K,) level in each run of nodes in the `mask` (K,), at the lowest height of
+    the run and its neighbours.
+    """
     c = path.copy()
     for (run,) in find_objects(label(mask)[0]):
         c[run] = path[max(run.start - 1, 0) : run.stop + 1].min()
@@ -103,27 +110,39 @@ def _level(path: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 class LiftoffError(NamedTuple):
-    """Error of the road below a light wheel, of the wheel `path`: a standard normal number, the
-    same for all nodes, times `height` (K,) [m].
+    """Error of the road below a light wheel: of the wheel `path`, with the standard deviation
+    `height` (K,) [m], the same error for all nodes but for this factor.
     """
 
     path: int
     height: np.ndarray
 
 
+class _Gap(NamedTuple):
+    """Nodes `run` of a wheel `path` on which the wheel was light, the `level` [m] of landing, and
+    by how much the road falls to it before them, and rises from it within some way behind them.
+    """
+
+    path: int
+    run: slice
+    level: float
+    fall: float
+    rise: float
+
+
 def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[LiftoffError]]:
     """Return by how much (2, K) [m] the road is lower than that of `lin` in the mean, and its
     errors below light wheels, which are independent of one another.
     """
-    road, c = lin.objective.road, lin.objective.coefficients(lin.x)
+    road = lin.objective.road
+    c = lin.objective.coefficients(lin.x)
     is_level = road.is_level_between_obstacles
     light = unloaded_nodes(lin, TUNING.light_on_level if is_level else TUNING.light_elsewhere)
     step_variance = road.local**2 * irfft(road.amplitude**2, road.size, axis=1)[:, 0].sum()
-    lower, errors, gaps = np.zeros_like(c), list[LiftoffError](), list[tuple]()
+    lower, errors, gaps = np.zeros_like(c), list[LiftoffError](), list[_Gap]()
     unloaded, reach = unloaded_nodes(lin), round(TUNING.edge_reach / road.ds)
     for path, mask in enumerate(light):
         for (run,) in find_objects(label(mask)[0]):
-            # the height of landing; the road falls to it before the run, and rises from it behind
             level = c[path, run.stop]
             fall = c[path, max(run.start - reach, 0) : run.start + 1].max() - level
             rise = c[path, run.stop : run.stop + reach + 1].max() - level
@@ -132,12 +151,12 @@ def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[Liftof
             # an even road does not fall so far: the wheel flew off an obstacle
             is_drop = fall > TUNING.obstacle_fall * np.sqrt(steps.sum())
             if is_level or (in_air and is_drop and not road.may_be_uneven):
-                gaps.append((path, run, level, fall, rise))
+                gaps.append(_Gap(path, run, level, fall, rise))
                 continue
             height = np.zeros(road.size)
             height[run] = np.sqrt(steps.sum() / 12.0)
             errors.append(LiftoffError(path, height))
-    falls = [fall for *_, fall, _ in gaps if fall > TUNING.min_drop]
+    falls = [gap.fall for gap in gaps if gap.fall > TUNING.min_drop]
     for path, run, level, fall, rise in gaps:
         height, unseen = np.zeros((2, road.size))
         before = max(run.start - 1, 0)
@@ -151,7 +170,9 @@ def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[Liftof
 
 
 def lower_road(lin: Linearization, lower: np.ndarray) -> Linearization:
-    """Return `lin` on a road lower by `lower` (2, K) [m], itself if no motion is finite there."""
+    """Return the linearization on a road that is by `lower` (2, K) [m] below that of `lin`; the
+    same one if the motion is not finite there.
+    """
     if not lower.max() > 0.0:
         return lin
     u = lin.objective.road.whiten(-np.diff(lower, axis=1, prepend=0.0))

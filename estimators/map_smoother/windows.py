@@ -107,7 +107,9 @@ class RoadSoFar:
     def at_stations(
         self, nodes: RoadNodes, s: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Heights, deviations (2, M) and samples (D, 2, M) [m] of the road at stations `s` (M,)."""
+        """Return heights and standard deviations (2, M) [m] at the stations `s` (M,) [m], and
+        samples (D, 2, M) [m] of the road.
+        """
         x = np.clip((s - nodes.origin) / nodes.ds, 1.0, nodes.size - 3.0)
         std = np.array([np.interp(x, np.arange(nodes.size), path) for path in self.std])
         draws = np.empty((len(self.deviations), 2, s.size), dtype=np.float32)

@@ -50,7 +50,9 @@ _EDGE_LENGTH = 5.0  # length [m] of each end of a drive on which deviations are 
 
 
 class _FittedSequence(NamedTuple):
-    """FIR bank, weights (float16), factor on the standard deviations, and `wheelbase` [m]."""
+    """FIR bank, network weights (float16), the factor `std_scale` on the network's standard
+    deviations, and the vehicle's `wheelbase` [m].
+    """
 
     bank: FirBank
     network: dict[str, np.ndarray]

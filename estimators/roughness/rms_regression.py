@@ -58,8 +58,9 @@ class RoughnessEstimate(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RmsRoughness:
-    """A fitted regression: standardised inputs `x` (N, N_INPUTS) and outputs `y` (N,), their mean
-    and standard deviation (2, N_INPUTS + 1) before, and logarithms `theta` as in _THETA_BOUNDS.
+    """A fitted regression: standardised inputs `x` (N, N_INPUTS) and outputs `y` (N,), mean and
+    standard deviation of inputs and output (2, N_INPUTS + 1) before it, and `theta`, logarithms as
+    in _THETA_BOUNDS.
     """
 
     x: np.ndarray
@@ -139,7 +140,9 @@ def _neg_log_marginal_likelihood(
 def _predict_gp(
     x: np.ndarray, y: np.ndarray, theta: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation (M,), with noise, at `at` (M, k), by `y` (N,) at `x` (N, k)."""
+    """Return mean and standard deviation (M,), noise included, of the outputs at inputs `at` (M,
+    k). `y` (N,): the known outputs at `x` (N, k).
+    """
     noise = np.exp(2.0 * theta[-1])
     K = np.add(*_covariance(x, x, theta)) + noise * np.eye(y.size)
     across, own = np.add(*_covariance(at, x, theta)), np.add(*_covariance(at, at, theta))

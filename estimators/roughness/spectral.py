@@ -54,9 +54,11 @@ _EM_ITERATIONS = 8  # expectation-maximisation iterations of an octave's level
 
 
 class ClassPosterior(NamedTuple):
-    """Roughness of a road: `G_d0` [m³] over the scored band and the standard deviation `log_std` of
-    its natural logarithm; `octaves` (K,) [cycles/m] with their `levels` (K,) [m³], `level_stds` and
-    most probable `octave_classes`; `probability` of each class by letter; `notes` on the vehicle.
+    """Posterior of a road's roughness.
+
+    `G_d0` [m³] and the standard deviation `log_std` of its natural logarithm, over the scored band;
+    `octaves` (K,) [cycles/m] with their own `levels` (K,) [m³], `level_stds` (K,) and most probable
+    `octave_classes`; `probability` of each class by letter; `notes` on the vehicle.
     """
 
     G_d0: float
@@ -103,7 +105,9 @@ def classify_record(
 def _models_of_drive(
     record: Record, segments: Sequence[Segment], car: VehicleParameters, sensors: Instruments
 ) -> tuple[list[SpectralModel], float, tuple[str, ...]]:
-    """Models of segments by the adapted vehicle, deviation of log levels by its errors, notes."""
+    """Return the models of the segments, of the vehicle adapted to the drive, the standard
+    deviation of log levels by what is wrong with them, and notes.
+    """
     vehicle, middle = SensedVehicle.of(car, sensors), segments[len(segments) // 2]
     model, adapted = fit_hyperparameters(vehicle, middle), None
     unexplained, std, notes = float(np.mean(model.noise_scale)), _MODEL_ERROR, list[str]()

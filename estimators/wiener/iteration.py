@@ -54,7 +54,8 @@ def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Itera
     one before which it diverges.
     """
     M, size, measured = segment.a.shape[1], model.size, max(int(segment.valid.sum()), 1)
-    q, share, change = np.zeros((4, size)), np.ones(4), 1.0
+    q, share = np.zeros((4, size)), np.ones(4)
+    change = 1.0
     start: np.ndarray | None = None  # the previous solution warm-starts the next solve
     first: float | None = None
     iterate: Iterate | None = None

@@ -31,7 +31,8 @@ class _Tuning:
     # iteration, on the training drives
     f_datum: Annotated[float, "Hz", "lowest that is estimated"] = 0.1
     relaxation: Annotated[float, "", "of the update of the force residual"] = 0.7
-    residual_noise_share: Annotated[float, "", "of unresolved power: neighbours cancel"] = 0.5
+    # errors of neighbouring samples cancel
+    residual_noise_share: Annotated[float, "", "of the residual's unresolved power"] = 0.5
     divergence_threshold: Annotated[float, "", "change of the residual, if less likely"] = 0.8
     # further passes change the error by half a percent
     converged: Annotated[float, "", "change of the residual that ends the passes"] = 0.02

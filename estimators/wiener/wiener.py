@@ -67,9 +67,11 @@ class Wiener(CalibratedByIdentification):
         stations = profile_stations(record.length)
         total, total_std, weights = (np.zeros((2, stations.size)) for _ in range(3))
         masked = mask_record(record, sensors)
-        notes, found = [*masked.notes], None
+        notes = [*masked.notes]
+        found = None
         segments = list(split_segments(masked, TUNING.segment_length, TUNING.segment_margin))
-        k, vehicle = len(segments) // 2, SensedVehicle.of(car, sensors)
+        vehicle = SensedVehicle.of(car, sensors)
+        k = len(segments) // 2
         fit: Callable[[Segment], SpectralModel] = partial(fit_hyperparameters, vehicle)
         middle = fit(segments[k])
         unexplained = float(np.mean(middle.noise_scale))

@@ -40,7 +40,8 @@ OPTIONS: Mapping[str, Any] = {
 }
 _Verdict = tuple[bool | None, str]  # whether a check is passed, and a sentence
 SEEDS = range(4)  # seeds of the roads, one for each vehicle
-_REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")  # on purpose
+_REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")
+"""Errors by which a policy may refuse an action space or an observation on purpose."""
 
 
 def check_policy(

@@ -276,7 +276,7 @@ YAML_KINDS |= dict.fromkeys(("str", "string"), "text")
 
 
 def _expected(error: Mapping[str, Any]) -> str:
-    """What a value must be, in the words of a YAML file instead of Pydantic's."""
+    """Requirement on a value, in the words of a YAML file instead of Pydantic's."""
     if error["type"] == "literal_error":
         return f"must be {error['ctx']['expected']}"
     expected = YAML_KINDS.get(error["type"].partition("_")[0])

@@ -33,7 +33,13 @@ from road_envs.sensing import sensor_faults
 from road_envs.sensing.sensor_faults import NO_FAULTS, PerSensor, SensorFaults
 from road_envs.vehicle.axles import IndependentWheels, SideMotion
 from road_envs.vehicle.equations import Plant, build_plant
-from road_envs.vehicle.parameters import BendingMode, Step, TorsionalFrame, VehicleParameters
+from road_envs.vehicle.parameters import (
+    BendingMode,
+    PerWheel,
+    Step,
+    TorsionalFrame,
+    VehicleParameters,
+)
 from road_envs.vehicle.suspension import WHEELS
 from road_envs.vehicle.tolerances import scale_parameters
 
@@ -208,9 +214,10 @@ def perturb_vehicle(
     return PerturbedVehicle(car, faults, mismatch.step)
 
 
-def _four_factors(rng: np.random.Generator, most: float) -> Any:
+def _four_factors(rng: np.random.Generator, most: float) -> PerWheel:
     """Draw factors between 1 - `most` and 1 + `most`."""
-    return tuple((1.0 + rng.uniform(-most, most, 4)).tolist())
+    a, b, c, d = (1.0 + rng.uniform(-most, most, 4)).tolist()
+    return a, b, c, d
 
 
 def _with_tolerances(
@@ -240,13 +247,18 @@ def _with_tolerances(
 def _with_structure(
     car: VehicleParameters, limits: _UnmodelledStructure, rng: np.random.Generator
 ) -> VehicleParameters:
-    same = ("tyre_progression", "roll_stiffness", "contact_length")
-    tyre = _four_factors(rng, limits.tyre_pressure * limits.tyre_pressure_effect)
-    drawn: dict[str, Any] = {name: getattr(limits, name) for name in same} | {"tyre": tyre}
-    drawn["frame"] = limits.frame and TorsionalFrame(**_draw_mode(rng, limits.frame))
-    bending = limits.bending
-    drawn["bending"] = bending and BendingMode(**_draw_mode(rng, bending), length=bending.length)
-    return replace(car, variation=replace(car.variation, **drawn))
+    variation = replace(
+        car.variation,
+        tyre=_four_factors(rng, limits.tyre_pressure * limits.tyre_pressure_effect),
+        tyre_progression=limits.tyre_progression,
+        roll_stiffness=limits.roll_stiffness,
+        contact_length=limits.contact_length,
+        frame=None if limits.frame is None else TorsionalFrame(**_draw_mode(rng, limits.frame)),
+        bending=None
+        if (b := limits.bending) is None
+        else BendingMode(**_draw_mode(rng, b), length=b.length),
+    )
+    return replace(car, variation=variation)
 
 
 def _with_side_motion(

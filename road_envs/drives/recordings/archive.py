@@ -33,7 +33,7 @@ def is_zip(path: Path) -> bool:
         with zipfile.ZipFile(path) as archive:
             return "[Content_Types].xml" not in archive.namelist()
     except (zipfile.BadZipFile, NotImplementedError, ValueError, OSError):
-        return True  # damaged: reading it says so
+        return True  # damaged, or of a kind that zipfile does not read: `read_members` refuses it
 
 
 def read_members(path: Path) -> Mapping[str, bytes]:
