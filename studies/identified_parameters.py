@@ -1,12 +1,13 @@
 """Coverage of the standard deviations of identified parameters, on individuals of each grade.
 
-    python -m studies.identified_parameters RESULTS.jsonl [--individuals N]
-        [--grade S1] [--division known] [--plot FILE]
+    python -m studies.identified_parameters RESULTS.jsonl --individuals blind S1 3
+        [--individuals ...] [--plot FILE]
 
 One line of JSON for each individual is appended to the results; those that stand there are not
-computed again. Each individual is identified from one drive at 54 km/h over class D: `known` over
-100 m that were measured with errors of 0.5 mm, `blind` over 150 m that nobody measured. A row has,
-for each parameter, its error in units of the tolerance and the standard deviation of the fit.
+computed again. `--individuals` is a division, a grade and a number of individuals. Each is
+identified from one drive at 54 km/h over class D: `known` over 100 m that were measured with errors
+of 0.5 mm, `blind` over 150 m that nobody measured. A row has, for each parameter, its error in
+units of the tolerance and the standard deviation of the fit.
 
 The frictions are left out: that of all struts and that of each are told apart by prior only. So are
 elements that the individual does not have.
@@ -135,15 +136,13 @@ def draw(rows: Sequence[Row], path: Path) -> None:
 def main() -> None:
     """Run the study."""
     parser = study_parser("Coverage of the standard deviations of identified parameters.")
-    parser.add_argument("--individuals", type=int, default=0)
-    parser.add_argument("--grade", action="append", choices=GRADES[1:])
-    parser.add_argument("--division", action="append", choices=DIVISIONS)
+    words = ("DIVISION", "GRADE", "NUMBER")
+    parser.add_argument("--individuals", action="append", nargs=3, metavar=words)
     chosen = parser.parse_args()
     cases = [
         {"individual": FIRST_INDIVIDUAL + k, "grade": grade, "division": division}
-        for k in range(chosen.individuals)
-        for grade in chosen.grade or GRADES[1:]
-        for division in chosen.division or DIVISIONS
+        for division, grade, number in chosen.individuals or []
+        for k in range(int(number))
     ]
     run_study(chosen, cases, individual_result, summary, draw)
 

@@ -3,20 +3,19 @@
 For each case a table is written (`examples/phone_drive.py`) and reported by one command,
 and the obstacles and IRI that the report gives are compared with the road:
 
-    python -m studies.report_trial --out out/report_trial
+    python -m studies.report_trial RESULTS.jsonl
 
-The folder keeps what is done, so that a trial that was ended goes on; the summary is printed.
+A row is appended to the results for each case; those that stand there are not computed again.
 """
 
-import argparse
 import contextlib
 import io
 import itertools
 import json
 import runpy
 import sys
+import tempfile
 import time
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +29,7 @@ from road_envs.records.record import Estimate, profile_stations
 from road_envs.records.roughness import displacement_psd
 from road_envs.roads import realise_road
 from road_envs.roads.surface import Surface
+from studies.study import Row, run_study, study_parser
 
 ROOT = Path(__file__).parents[1]
 
@@ -86,28 +86,29 @@ def write_drive(case: tuple[str, int, int], folder: Path) -> dict:
     return described
 
 
-def report(case: tuple[str, int, int], folder: Path, *options: str) -> dict:
-    """Write the drive of a case into `folder`, report it, and return the errors of the report."""
+def compute(case: tuple[str, int, int]) -> Row:
+    """Write the drive of a case, report it, and return the errors of the report."""
     _, speed, seed = case
-    folder.mkdir(parents=True, exist_ok=True)
-    described = write_drive(case, folder)
-    began = time.process_time()
-    words = ["--description", folder / "phone_drive.yaml", "--out", folder / "report", "--json"]
     printed = io.StringIO()
-    with (
-        _arguments("road-recon", "report", folder / "phone_drive.csv", *words, *options),
-        contextlib.redirect_stdout(printed),
-        contextlib.suppress(SystemExit),
-    ):
-        cli.main()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        described = write_drive(case, folder)
+        began = time.process_time()
+        words = ["--description", folder / "phone_drive.yaml", "--out", folder / "report", "--json"]
+        with (
+            _arguments("road-recon", "report", folder / "phone_drive.csv", *words),
+            contextlib.redirect_stdout(printed),
+            contextlib.suppress(SystemExit),
+        ):
+            cli.main()
+        seconds = time.process_time() - began
+        heights = pd.read_parquet(folder / "report/phone_drive_heights.parquet")
+        surface = realise_road(folder / "road.yaml", seed)
     (drive,) = json.loads(printed.getvalue())["drives"]
     defects = [d for part in described["roads"] for d in part.get("defects", [])]
-    seconds = time.process_time() - began
-    errors = compare(drive, defects, folder / "road.yaml", seed)
+    errors = compare(drive, defects, surface)
     errors["speed"] = drive["speed_kmh"] / speed - 1.0
-    heights = pd.read_parquet(folder / "report/phone_drive_heights.parquet")
-    gain = short_wave_gain(heights, realise_road(folder / "road.yaml", seed))
-    return {"case": case, "seconds": seconds, **errors, "short_waves": gain}
+    return {"seconds": seconds, **errors, "short_waves": short_wave_gain(heights, surface)}
 
 
 def short_wave_gain(heights: pd.DataFrame, surface: Surface) -> float:
@@ -124,7 +125,7 @@ def short_wave_gain(heights: pd.DataFrame, surface: Surface) -> float:
     return float(np.sqrt(told[:, inside].sum() / true[:, inside].sum()))
 
 
-def compare(drive: dict, defects: list[dict], road_file: Path, seed: int) -> dict:
+def compare(drive: dict, defects: list[dict], surface: Surface) -> Row:
     """Return the errors of a report: of obstacles, of the IRI of segments, and false obstacles.
 
     An obstacle is that of its kind (bump, hole) nearest to its station; its error of height
@@ -135,7 +136,6 @@ def compare(drive: dict, defects: list[dict], road_file: Path, seed: int) -> dic
     found, inside = list(drive["obstacles"]), [0, 0, 0]
     place: list[float | None] = []
     height, nominal = list[float](), list[float]()
-    surface = realise_road(road_file, seed)
     s = profile_stations(LENGTH)
     on_surface = detect(Estimate(s, surface.height(s)))
     for defect in defects:
@@ -179,7 +179,7 @@ def compare(drive: dict, defects: list[dict], road_file: Path, seed: int) -> dic
     }
 
 
-def passes(result: dict, height: str = "height") -> bool:
+def passes(result: Row, height: str = "height") -> bool:
     """Return whether all errors of a report are within LIMITS, those of `height` or "nominal"."""
     errors = {**result, "height": result[height]}
     return all(
@@ -187,7 +187,7 @@ def passes(result: dict, height: str = "height") -> bool:
     )
 
 
-def summary(results: list[dict]) -> str:
+def summary(results: list[Row]) -> str:
     """Return the errors of the trial by class and speed, in words."""
     lines = []
     for letter, speed in sorted({tuple(r["case"][:2]) for r in results}):
@@ -271,27 +271,11 @@ def _arguments(*words):
         sys.argv = before
 
 
-def run(out: Path, cases: Iterable[tuple[str, int, int]]) -> list[dict]:
-    """Return the errors of all cases, of which those are done that the folder does not have yet."""
-    results = []
-    for letter, speed, seed in cases:
-        kept = out / f"{letter}_{speed}_{seed}" / "errors.json"
-        if not kept.exists():
-            result = report((letter, speed, seed), kept.parent)
-            kept.write_text(json.dumps(result), encoding="utf-8")
-            print(letter, speed, seed, "within" if passes(result) else "beyond", flush=True)
-        results.append(json.loads(kept.read_text(encoding="utf-8")))
-    return results
-
-
 def main() -> None:
-    """Run the cases that the folder does not have yet, and print the summary."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("out/report_trial"))
-    parser.add_argument("--seeds", type=int, nargs="+")
-    options = parser.parse_args()
-    cases = itertools.product(CLASSES, SPEEDS, options.seeds or SEEDS)
-    print(summary(run(options.out, cases)))
+    """Run the cases that the results do not have yet, and print the summary."""
+    chosen = study_parser("Trial of the report.").parse_args()
+    cases = [{"case": list(case)} for case in CASES]
+    run_study(chosen, cases, compute, summary, lambda rows, path: None)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
 """Error of `map_smoother` over what it knows of the vehicle, on the test drives of the field board.
 
-    python -m studies.vehicle_knowledge RESULTS.jsonl [--grade S1] [--speed 54]
-        [--drives 3] [--plot FILE]
+    python -m studies.vehicle_knowledge RESULTS.jsonl --drives S1 54 9 [--drives ...] [--plot FILE]
 
 One line of JSON for each drive is appended to the results; those that stand there are not computed
-again. `--drives` is the number of test drives of each grade and speed, by default those of the
-board, whose own table has the blind division. What is known of the vehicle:
+again. Each `--drives` is a grade, a speed [km/h] and a number of test drives of the board, whose
+own table has the blind division. What is known of the vehicle:
 
 | described | its description |
 | adapted | its description, fitted to the very drive: the described division of the board |
@@ -122,20 +121,13 @@ def draw(rows: Sequence[Row], path: Path) -> None:
 def main() -> None:
     """Run the study."""
     parser = study_parser("Error over knowledge of the vehicle.")
-    parser.add_argument("--grade", action="append", choices=GRADES[1:])
-    parser.add_argument("--speed", action="append", type=float)
-    parser.add_argument("--drives", type=int)
+    parser.add_argument("--drives", action="append", nargs=3, metavar=("GRADE", "KMH", "NUMBER"))
     chosen = parser.parse_args()
-    task = load_task("field_known")
-    if chosen.drives:
-        task = task.with_test_drives(chosen.drives)
-    cases = [
-        {"grade": condition.grade, "speed_kmh": condition.speed_kmh, "drive": index}
-        for condition in task.conditions
-        for index, _, _ in task.drives_of(task.test, condition)
-        if condition.grade in (chosen.grade or [])
-        and (not chosen.speed or condition.speed_kmh in chosen.speed)
-    ]
+    cases = []
+    for grade, kmh, number in chosen.drives or []:
+        task = load_task("field_known").with_test_drives(int(number))
+        drives = task.drives_of(task.test, _condition(task, grade, float(kmh)))
+        cases += [{"grade": grade, "speed_kmh": float(kmh), "drive": k} for k, _, _ in drives]
     run_study(chosen, cases, drive_result, summary, draw)
 
 
