@@ -159,7 +159,9 @@ def _apply_chunks(P, first, width, c, y, means):
 
 @kernel
 def _apply_chunks_transpose(P, first, width, means, y, c):
-    """Apply the transpose of `_apply_chunks`: from `means` and `y` to the first `y` and `c`."""
+    """Apply the transpose of `_apply_chunks`: from `means` (S, J) and the adjoint `y` (14,) of the
+    last state to that of the first, and to the coefficients `c` (2, K).
+    """
     n_states = y.size
     inside, out = np.zeros((P.shape[2], LANES)), np.empty(P.shape[1])
     flat, blocks_per_chunk = inside.ravel(), (N_ROWS - n_states) // means.shape[0]

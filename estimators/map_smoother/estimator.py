@@ -7,11 +7,12 @@ friction, stops and tyres that lift off, is driven over the road, both axles ove
 white noise that the prior shapes into an equally rough surface in all directions (`road_prior.py`);
 its density is re-estimated from the drive, octave by octave, and along the road where it is rough
 in places only (potholes, bumps). A clipped sample is a limit: the acceleration was at least that.
-Gauss-Newton steps with the exact tangent and adjoint of the simulator's step (`objective.py`;
-Talagrand & Courtier 1987, doi:10.1002/qj.49711347812) are solved by conjugate gradients,
-preconditioned by the stationary linear vehicle (`preconditioner.py`). Friction is smoothed and the
-noise inflated at first and less so in later steps (`gauss_newton.py`). Where a wheel has lifted
-off, the road is lowered, and at last it is the mean of what it may be there (`wheel_liftoff.py`).
+Gauss-Newton steps with the exact tangent and adjoint of the simulator's step (`objective.py`; for
+the adjoint method Talagrand & Courtier 1987, doi:10.1002/qj.49711347812) are solved by conjugate
+gradients, preconditioned by the stationary linear vehicle (`preconditioner.py`). Friction is
+smoothed and the noise inflated at first and less so in later steps (`gauss_newton.py`). Where a
+wheel has lifted off, the road is lowered, and at last it is the mean of what it may be there
+(`wheel_liftoff.py`).
 
 Several drives over one road are estimated together: their misfits add. A vehicle that differs from
 the one given within its tolerances is fitted to the drive (`car_fit.py`), and one that stays

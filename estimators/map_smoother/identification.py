@@ -279,7 +279,9 @@ def _solve(
     quick: bool = False,
     errors: np.ndarray = NO_ERRORS,
 ) -> MapSolution:
-    """The most probable road of a drive, roughly if `quick`, with instruments of these `errors`."""
+    """Return the most probable road of a drive with the vehicle `car` and instruments that have
+    these `errors`, roughly if `quick`.
+    """
     objective, solver = _objective(drive, car, settings), GaussNewton(settings.huber)
     (one,) = objective.passes
     objective = replace(objective, passes=(InstrumentErrors.of(one).apply(one, errors),))

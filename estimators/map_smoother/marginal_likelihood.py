@@ -48,7 +48,9 @@ class LikelihoodTerms(NamedTuple):
     by_parameter: np.ndarray = np.zeros(0)
 
     def change(self, step: np.ndarray) -> np.ndarray | None:
-        """Expected change (n,) of the unknowns with a `step` (P,); None on a measured road."""
+        """Return the expected change (n,) of the unknowns with a `step` (P,) of the parameters;
+        None if the road was measured.
+        """
         return self.to_optimum + step @ self.by_parameter if self.by_parameter.size else None
 
 
@@ -62,7 +64,9 @@ def perturbed_cars(space: ParameterSpace, x: np.ndarray) -> list[VehicleParamete
 def perturbed_passes(
     original: Pass, cars: Sequence[VehicleParameters], errors: np.ndarray = NO_ERRORS
 ) -> list[Pass]:
-    """The `original` pass, of instruments without errors, with each of `cars` and the `errors`."""
+    """Return the `original` pass, whose instruments have no errors, with each of the `cars`, as of
+    `perturbed_cars`, and with instruments that have these `errors` (0 or R,).
+    """
     instruments = InstrumentErrors.of(original)
     return [instruments.apply(original.with_car(car), errors) for car in cars]
 
@@ -77,7 +81,9 @@ def sensitivities(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
 
 
 def varied_residuals(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
-    """Residuals (V, S, J) of other vehicles on the road of `lin`. Raises ArithmeticError."""
+    """Return the residuals (V, S, J) of other vehicles on the road of `lin`. Raises ArithmeticError
+    if a motion is not finite.
+    """
     source = lin.source
     start, bias = source.split(lin.own)
     road = source.road_under_wheels(lin.c, source.wheelbase(lin.own))
@@ -95,7 +101,9 @@ def varied_residuals(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
 
 
 def reading_sensitivities(lin: LinearizedPass, base: Pass, errors: np.ndarray) -> np.ndarray:
-    """Derivatives (R, S, J) by errors of the instruments at `errors` (R,); `base` has none."""
+    """Return the derivatives (R, S, J) of the block means by errors of the instruments, at
+    `errors` (R,); `base` is the pass of the vehicle of `lin` with instruments without errors.
+    """
     instruments = InstrumentErrors.of(base)
     _, bias = base.split(lin.own)
     found = []
@@ -111,7 +119,9 @@ def reading_sensitivities(lin: LinearizedPass, base: Pass, errors: np.ndarray) -
 def known_road_terms(
     solution: MapSolution, original: Pass, cars: Sequence[VehicleParameters], errors: np.ndarray
 ) -> LikelihoodTerms:
-    """Terms of a drive over a measured road, as of `perturbed_passes`. Raises ArithmeticError."""
+    """Return the terms of a drive over a measured road; arguments as of `perturbed_passes`. Raises
+    ArithmeticError if a motion is not finite.
+    """
     (lin,), road = solution.linearization.passes, solution.linearization.objective.road
     G = sensitivities(lin, perturbed_passes(original, cars, errors))
     if errors.size > 0:
@@ -148,7 +158,9 @@ def _spectrum(one: Pass, means: np.ndarray) -> np.ndarray:
 
 
 def _covariance(road: RoadTransform, one: Pass, f: np.ndarray) -> np.ndarray:
-    """Covariance (F, S, S) of the spectrum at `f` (F,) [Hz]; 1 of unit white noise of the means."""
+    """Return the covariance (F, S, S) [(m/s²)²] of the spectrum of the block means at `f` (F,)
+    [Hz], in units in which that of unit white noise of the block means is 1.
+    """
     v, dt = float(one.inputs.v.mean()), one.block_duration
     density = np.abs(road.transfer_function()) ** 2 * road.ds / (v * dt)
     response = np.sinc(f * dt) ** 2

@@ -189,7 +189,9 @@ class Pass:
         return self.measurements.sample_count > 0
 
     def residual(self, acceleration: np.ndarray, bias: np.ndarray) -> np.ndarray:
-        """Measured less predicted block means (S, J) [m/s²], of accelerations (N, 7)."""
+        """Return the measured less the predicted block means (S, J) [m/s²] of the sensors, from the
+        accelerations (N, 7) of the coordinates.
+        """
         return self.in_band(self.measurements.residual(self.sense(acceleration) + bias[:, None]))
 
     @property
@@ -274,7 +276,9 @@ class LinearizedPass:
         return change / (2.0 * TUNING.speed_difference)
 
     def tangent(self, dc: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Change (S, J) of the predicted block means by small changes `dc` (2, K) and `own`."""
+        """Change (S, J) of the predicted block means by small changes `dc` (2, K) of the road's
+        coefficients and of the `own` unknowns.
+        """
         o = self.source
         start, bias = o.split(own)
         means = self.read_road(start, dc)

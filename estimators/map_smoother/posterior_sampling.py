@@ -117,10 +117,12 @@ def posterior_mean_and_std(
 def _draw_roads(
     solution: MapSolution, exact: Sequence[np.ndarray], vehicle: "_VehicleErrors"
 ) -> np.ndarray:
-    """Samples (D, 2, K) [m] of the road's deviation from the posterior mean: of the stationary one,
-    by the preconditioner, which is the inverse root of the stationary Hessian, of white noise. Each
-    octave gets the power of the `exact` samples, as far as they tell it. Sums of samples of the
-    vehicle's errors with random weights of unit variance are such samples, too.
+    """Samples (D, 2, K) [m] of the road's deviation from the posterior mean.
+
+    The preconditioner is the inverse root of the stationary Hessian, so that it makes white noise a
+    sample of the stationary posterior. Each octave of it gets the power of the `exact` samples, as
+    far as they tell it. A sum of samples of the vehicle's errors with random weights of unit
+    variance is another such sample.
     """
     lin, road = solution.linearization, solution.linearization.objective.road
     # another noise in each window of a drive
@@ -246,7 +248,9 @@ def _strut_states(road: RoadTransform, drives: Sequence[ModelInputs]) -> np.ndar
 def _average_by_strut_state(
     square: np.ndarray, shape: np.ndarray, free: np.ndarray, state: np.ndarray, ds: float
 ) -> np.ndarray:
-    """Mean of `square` (2, K) over that of `shape`, in each `state` (K,), over `free` nodes."""
+    """Return the mean of `square` (2, K) over that of `shape` (2, K), over the `free` nodes (K,)
+    that are passed in the same `state` (K,).
+    """
     nodes = free if free.any() else np.ones(free.size, dtype=bool)
     ratio = np.full(free.size, square[:, nodes].mean() / shape[:, nodes].mean())
     for number in np.unique(state):

@@ -186,7 +186,9 @@ class StationaryHessian:
     def error_variance(
         self, road: RoadTransform, noise_variance: np.ndarray, lines: np.ndarray
     ) -> np.ndarray:
-        """Variance (2, K) of the heights' error in the `lines` (F,), up to a factor."""
+        """Return the variance (2, K) of the heights' error at the local roughness, in the spatial
+        frequencies `lines` (F,) alone and up to a factor.
+        """
         density = 0.5 * np.abs(road.transfer_function().T) ** 2
         posteriors = _posteriors(self.excess(road, noise_variance), ROUGHNESS_STEPS)
         variance = ROUGHNESS_STEPS**2 * np.sum((density * posteriors)[:, lines], axis=(1, 2))
@@ -249,7 +251,9 @@ def linear_responses(one: Pass, f: np.ndarray) -> Iterator[tuple[float, np.ndarr
 
 
 def _linear_model(one: Pass, command: int) -> LinearModel:
-    """The linear vehicle in the strut states of a `command`, with the points that sensors need."""
+    """Return the linear vehicle in the strut states of a `command` byte, with the points whose
+    accelerations the sensors need.
+    """
     model = one.model
     stiff, high = (flags[0].tolist() for flags in decode_commands(np.array([command])))
     names = {flags: name for name, flags in MODES.items()}

@@ -116,7 +116,9 @@ class RoadSolver:
         return posterior
 
     def _with_vehicle(self, solution: MapSolution, solver: GaussNewton) -> RoadPosterior:
-        """The posterior of a single drive and its vehicle, which is fitted if its errors show."""
+        """Return the posterior of a single drive with errors of its vehicle, which is fitted to the
+        drive if they show.
+        """
         drive, fit, uncertain = self.drives[0], self.fit_of(0), self.uncertainty
         sensors = tuple(drive.model.locations)
         if drive.model.speed_std > 0.0:

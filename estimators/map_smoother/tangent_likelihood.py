@@ -53,8 +53,10 @@ from road_envs.vehicle.parameters import VehicleParameters
 def tangent_terms(
     solution: MapSolution, cars: Sequence[VehicleParameters], known: LikelihoodTerms | None = None
 ) -> LikelihoodTerms:
-    """Return the terms of a drive over an unmeasured road; `cars` as of `perturbed_cars`. If terms
-    of a vehicle nearby are `known`, gradient and optimum are new. Raises ArithmeticError.
+    """Return the terms of a drive over an unmeasured road; `cars` as of `perturbed_cars`.
+
+    If those of a vehicle nearby are `known`, only gradient and optimum are computed. Raises
+    ArithmeticError if a motion is not finite.
     """
     lin, solve = solution.linearization, solution.inverse_hessian(*TUNING.tangent_cg)
     (one,) = lin.passes

@@ -144,7 +144,9 @@ class LmResult:
         return self.train.size - 1
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """`curves` (5, epochs + 1), -1 for NaN, and `stop`: index of the reason, best epoch."""
+        """Return all but the network: `curves` (5, epochs + 1) with -1 for NaN, and `stop`, the
+        index of the reason in _STOP_REASONS and the best epoch.
+        """
         curves = np.array([getattr(self, name) for name in CURVES])
         curves[np.isnan(curves)] = -1.0
         stop = np.array([_STOP_REASONS.index(self.stop), self.best_epoch])

@@ -94,7 +94,9 @@ class LmEstimator(Settings):
     def _training_data(
         records: Sequence[Record], truths: Sequence[Profile]
     ) -> tuple[list[np.ndarray], list[np.ndarray], lm.Scaling, lm.Scaling]:
-        """Accelerations (3, M), heights (2, M) of drives, their scalings. Raises RecordError."""
+        """Return accelerations (3, M) and true heights (2, M) of each drive at the profile
+        stations, and the scalings of both. Raises RecordError.
+        """
         a = [spatial_accelerations(clean_record(record)[0]) for record in records]
         pairs = zip(records, truths, strict=True)
         z = [sample_profile(truth, profile_stations(record.length)) for record, truth in pairs]

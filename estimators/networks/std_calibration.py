@@ -50,7 +50,9 @@ class StdScale(NamedTuple):
 
     @classmethod
     def fit(cls, ratios: Sequence[np.ndarray], conditions: Sequence[np.ndarray]) -> "StdScale":
-        """Fit to errors over standard deviations `ratios` (2, M), at `conditions` (8, M or 1)."""
+        """Fit to `ratios`, errors over standard deviations (2, M) of each drive, and to its
+        `conditions` (8, M or 1).
+        """
         x = np.array([_design_matrix(each).mean(axis=1) for each in conditions])
         levels = (np.arange(_N_QUANTILES) + 0.5) / _N_QUANTILES
         quantiles = np.array([np.quantile(np.abs(each), levels) for each in ratios])
