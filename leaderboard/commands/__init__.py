@@ -128,7 +128,8 @@ LINE_INTERVAL = 10.0  # time [s] between two lines of progress without a termina
 def _time_left(clock: Callable[[], float] = time.monotonic) -> Callable[[float], str]:
     """Return a function of the share done that tells the time left as ", about 40 s left", if any.
 
-    It counts from the last update with the first share: without stored results and preparation.
+    The rest is taken to be as fast as what is done since the last update with the first share:
+    neither stored results nor what was prepared before count.
     """
     begin, first_share = clock(), math.inf
 

@@ -75,7 +75,10 @@ def new_vehicle(
 
 
 def _write_package(name: str, folder: Path, example: _Example = "estimator") -> list[Path]:
-    """Write a package, unless its name or folder is of no use, and return its files."""
+    """Write a package with the estimator or policy `name` into a new or empty `folder`; return its
+    files. Raises ConfigError, before anything is written, for an invalid name or a folder with
+    files.
+    """
     kind, article = ("policy", "A") if example == "policy" else ("estimator", "An")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
         raise ConfigError(

@@ -160,7 +160,10 @@ def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
 
 
 def _row_name(reference: str, may_be_path: bool = True) -> str:
-    """Return the name of a policy's row; of a file or class its own, if it `may_be_path`."""
+    """Return the name of the row of a policy. Raises ConfigError for one that is another's.
+
+    A `reference` that is no name may be that of a file or a class, if it `may_be_path`.
+    """
     name = reference
     if may_be_path:
         is_file = reference.endswith(FILE_SUFFIXES)

@@ -44,8 +44,10 @@ def search(
     sweeps: int = SWEEPS,
     progress: Progress = lambda text, share: None,
 ) -> tuple[Rollout, np.ndarray]:
-    """Return the best drives found from any of S `seeds`, `drives.threads` at once, and the scores
-    (S, N) from each, those of `Rollout`. `rows` are actions (T, N) of policies on these drives.
+    """Return the best drives found from any of S `seeds`, and the scores (S, N) from each.
+
+    `rows` are actions (T, N) of policies on these drives. The score is that of `Rollout`:
+    violations have their price. Seeds are searched in `drives.threads` at once.
     """
     n, T = len(drives), max(len(row) for row in rows)
     candidates = [np.concatenate([row, np.repeat(row[-1:], T - len(row), axis=0)]) for row in rows]

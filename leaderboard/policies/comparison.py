@@ -81,8 +81,10 @@ def compare(
     sweeps: int = best_found.SWEEPS,
     progress: Progress = lambda text, share: None,
 ) -> Comparison:
-    """Compare all policies, of which one that raises an error is a row with its failure, and, if
-    there are `sweeps`, the best switching found. Raises ConfigError for an unknown reference.
+    """Compare all policies and the best switching found.
+
+    A policy that raises an error is a row with its failure. Without `sweeps` nothing is searched.
+    Raises ConfigError if the reference is not among the policies.
     """
     validate_choice("reference", reference, list(policies))
     rollouts, failures = dict[str, Rollout](), list[dict[str, str]]()
@@ -162,8 +164,10 @@ def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> d
 def interval(
     x: np.ndarray, families: np.ndarray | None = None, mirrored: bool = True
 ) -> dict[str, float]:
-    """Return the mean of `x` (N,) or (S, N), and its 95 % interval over S seeds and N drives, drawn
-    within `families` (N,), in pairs if `mirrored`; NaN of fewer than MIN_ROADS drives or pairs.
+    """Return the mean of `x` (N,) or (S, N), and its 95 % interval over S seeds and N drives.
+
+    Drives are drawn in pairs if they are `mirrored`, and within each of their `families` (N,). Of
+    fewer than MIN_ROADS drives or pairs the interval is NaN.
     """
     pairs = np.atleast_2d(x)
     pairs = pairs.reshape(len(pairs), -1, 1 + mirrored).mean(axis=2).T[:, None, :]

@@ -47,7 +47,9 @@ _REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")
 def check_policy(
     reference: str, settings: Mapping[str, Any] | None = None, limits: Limits = POLICY_LIMITS
 ) -> list[CheckResult]:
-    """Run all checks of a policy, by its reference for `make_policy`; "runs" alone if it fails."""
+    """Run all checks of the policy `reference`, as `make_policy` takes it; the first alone if the
+    policy does not run.
+    """
     with PolicyProcess(reference, settings, limits) as policy:
         try:
             first = roll_out(policy, dict(OPTIONS), SEEDS)

@@ -17,7 +17,9 @@ from road_envs.policies import make_policy
 
 
 def make_handler(code: str | None) -> messages.Handler:
-    """Return the handler of a policy in the folder `code`, made anew at a reset after an error."""
+    """Return the handler of one policy, whose code lies in the folder `code`. A policy that has
+    raised an error is made anew at the next reset.
+    """
     if code is not None:
         sys.path.insert(0, code)
     policy: Any = None

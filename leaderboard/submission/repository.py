@@ -68,10 +68,13 @@ def build_site(
     workers: int = 1,
     progress: Callable[[str, float], None] = lambda text, share: None,
 ) -> Path:
-    """Run the entries of all submissions of a repository, whose own rows count for nothing here,
-    and write their site into the new or empty folder `out`; its index. It has copies of the sites
-    of past seasons, unless it becomes one itself, and a row with the reason of an entry that cannot
-    be run. Raises ConfigError for a damaged submission, if there is none, and if `out` has files.
+    """Run the entries of all submissions of a repository and write their site into the new or empty
+    folder `out`; return its index.
+
+    What a site shows was found by its builder, on one machine: rows that submissions say count for
+    nothing here. It has copies of the sites of past seasons, unless it becomes one itself. An entry
+    that cannot be run has a row with the reason. Raises ConfigError for a damaged submission, if
+    there is none, and if `out` has files.
     """
     rules, tasks = load_rules(repository / RULES)
     folders = sorted(path.parent for path in (repository / _SUBMISSIONS).glob("*/submission.json"))
@@ -98,8 +101,10 @@ def build_site(
 
 
 def _entry_of(folder: Path, sandbox: SandboxClient) -> Entry:
-    """Return the entry of a submission under the name of its folder, whose card it has; if its code
-    fails or calls itself otherwise, from some day on, it is a failure of its own row.
+    """Return the entry of a submission under the name of its folder, whose card it has.
+
+    Its code can fail, or call itself otherwise, from some day on: a failure of its own row, so that
+    others have theirs.
     """
     entry, name = submitted_entry(folder, sandbox), folder.resolve().name
     if fold(name) in RESERVED:

@@ -133,9 +133,11 @@ def verify_submission(
     replaces: Path | None = None,
     progress: _Progress = lambda text, share: None,
 ) -> list[Verified]:
-    """Verify files, card, signature, code, rows, and a `share` of the drives of a submission, which
-    the signer of `replaces`, its folder as it stood before, must have signed; what was found of
-    every row, also of one that differs. Raises ConfigError if it is not complete or not by `rules`.
+    """Verify a submission: files, card, signature, code, rows, and a `share` of its drives again.
+
+    `replaces` is the folder of the submission as it stood before; its signer must have signed this
+    one. Returns what was found of every row, also of one that differs. Raises ConfigError for a
+    submission that is not complete or not by the `rules`.
     """
     record = load_submission(folder)
     signature.check_owner(folder, replaces)
