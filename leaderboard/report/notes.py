@@ -111,7 +111,8 @@ def _sensor_notes(task: Task, results: Sequence[Result], pretrained: str) -> lis
 
 
 def _protocol_notes(task: Task, results: Sequence[Result]) -> list[str]:
-    notes, pretrained = [], ", ".join(r.estimator for r in results if r.settings.get("shipped"))
+    ours = [r for r in results if r.estimator in REGISTRY]  # not files of `train`, nor others'
+    notes, pretrained = [], ", ".join(r.estimator for r in ours if r.settings.get("shipped"))
     if task.trains_on_test_road:
         weights = f"; {pretrained} with pretrained weights" if pretrained else ""
         notes.append(f"Trained on altered copies of the test road{weights}.")

@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from estimators import REGISTRY
 from leaderboard.conformance.probes import count_passed
 from leaderboard.conformance.results import EstimatorCard
 from leaderboard.evaluation.boards import BoardDefinition
@@ -197,7 +198,7 @@ def training_counts(results: Sequence[Result]) -> dict[str, int]:
         result.estimator: len(result.seeds)
         for result in results
         if train_seconds(result) is not None
-        and not result.settings.get("shipped")
+        and not (result.estimator in REGISTRY and result.settings.get("shipped"))
         and (len(result.seeds) == 1 or result.scores["seed"].nunique() > 1)
     }
 

@@ -424,17 +424,20 @@ def test_notes_of_a_surface_are_printed():
 
 def test_shipped_weights_are_noted_on_every_car_that_they_do_not_know():
     """Of all conditions, also where the car of the task is that of their training."""
-    shipped = dataclasses.replace(result_of("reader"), settings={"shipped": True})
+    shipped, own = (
+        dataclasses.replace(result_of("reader"), estimator=name, settings={"shipped": True})
+        for name in ("tcn", "mine")  # a file of `train`, or one by others
+    )
     cars = (None, "volkswagen_vanagon", "bmw_320i")
     driven = [{"mode": "passive", "speed_kmh": 50.0, "car": car} for car in cars]
     for conditions, others in ((driven[:1], ""), (driven, "volkswagen_vanagon, bmw_320i")):
-        text = f"reader: trained on drives of land_rover_defender_110, not of {others}."
-        notes = _protocol_notes(task(conditions=conditions), [shipped])
+        text = f"tcn: trained on drives of land_rover_defender_110, not of {others}."
+        notes = _protocol_notes(task(conditions=conditions), [shipped, own])
         assert notes == ([text] if others else [])
 
 
 def test_who_was_made_for_other_sensors_than_those_of_the_task_is_noted(tmp_path):
-    rows = {"reader": {"shipped": True}, "wiener": {"instruments": "paper"}, "own": {}}
+    rows = {"tcn": {"shipped": True}, "mine": {"shipped": True}, "wiener": {"instruments": "paper"}, "own": {}}
     results = [
         dataclasses.replace(result_of("reader"), estimator=name, settings=settings)
         for name, settings in rows.items()
@@ -445,7 +448,7 @@ def test_who_was_made_for_other_sensors_than_those_of_the_task_is_noted(tmp_path
     for name, change in changes.items():
         (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump({**sheet, **change, "name": name}))
         notes = _protocol_notes(task(instruments=str(tmp_path / f"{name}.yaml")), results)
-        weights = [f"reader: trained with the sensors of paper, not of {name}."]
+        weights = [f"tcn: trained with the sensors of paper, not of {name}."]
         models = [f"wiener: with noise and filter of the sensors of paper, not of {name}."]
         assert notes == {"same": [], "moved": weights, "slow": weights + models}[name]
 
@@ -494,9 +497,11 @@ def test_rows_of_another_number_of_training_seeds_are_noted():
     # without a training, or with one that ignores the seed, no number of seeds is another's
     (alone,) = run_task(task(), {"alone": Reader()}, (1,), simulate=fake_drives)
     same = dataclasses.replace(lucky, seeds=(1, 2))
-    shipped = dataclasses.replace(lucky, settings={"shipped": True})
+    by_others = dataclasses.replace(lucky, settings={"shipped": True})
+    shipped = dataclasses.replace(by_others, estimator="tcn")
     for other in (alone, same, shipped, result_of("reader")):
         assert notes(steady, other) == []
+    assert notes(steady, by_others) == [text]
     assert _drive_counts(task(), [alone, result_of("reader")]).endswith("; trainings: 3")
 
 
