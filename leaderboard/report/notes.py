@@ -34,6 +34,12 @@ FOUND_SEEDS = (
     "season."
 )
 
+SEALED_ROADS = "The seeds of these roads were revealed after all entries were in."
+REVEALED_ROADS = (
+    "The seeds of these roads stand in a file: an entry that is newer can draw them again. Its "
+    "rank counts only in a results repository, which refuses entries that are newer."
+)
+
 _SENSORS = "paper"  # of shipped weights, and those that a model of the sensors has by default
 _SHEET = attrgetter("fs", "f_alias", "noise_density", "speed_error")
 _SEARCHED = 2**40  # seeds below are found by trial, 100 000 in a second, in 130 days of a core
@@ -53,23 +59,31 @@ def section_notes(
     unranked = [x.name for x in rows if x.state == "scored" and x.values.get(ranks_by) is None]
     lacking = f"No {SCORES[ranks_by].label} on some drives, and so no rank: {', '.join(unranked)}."
     others = [x for x in scored if x.role == "entry" and x.estimator not in REGISTRY]
-    is_drawn = others and not task.is_public and min(task.test.all_seeds) < _SEARCHED
+    seal = FOUND_SEEDS if min(task.test.all_seeds) < _SEARCHED else REVEALED_ROADS
+    is_open = bool(others) and not has_public_roads(task) and SEALED_ROADS not in task.note
     seeds = {name: f"{n} training seed{'s' * (n > 1)}" for name, n in trainings.items()}
     results = [*scored, *board.failed(task)]  # of a file, they note what was changed on its surface
     surface = dict.fromkeys(x for r in results for x in r.notes if x not in _own_notes(r))
     return (
         *([PUBLIC_ROADS] if task.is_public else []),
-        *([FOUND_SEEDS] if is_drawn else []),
+        *([seal] if is_open else []),
         *([level] if level_drives else []),
         *([lacking] if unranked else []),
         *_protocol_notes(task, scored),
         *([f"Surface: {'; '.join(surface)}."] if surface and task.board_name == "measured" else []),
         *(f"{note}." for row in scored for note in _own_notes(row)),
-        *sanity_warnings(rows, ranks_by, task.is_public),
+        *sanity_warnings(rows, ranks_by, has_public_roads(task)),
         *_kernel_notes(scored, _verified_for(task, board.verified)),
         *_version_notes(scored),
         *_notes_on_others(seeds, "ran with {}, the others with {}"),
     )
+
+
+def has_public_roads(task: Task) -> bool:
+    """Return whether anybody can draw the test roads: those of a shipped task, or of one that a
+    results repository has among its own without a seal.
+    """
+    return task.is_public or PUBLIC_ROADS in task.note
 
 
 def sanity_warnings(rows: Sequence["Row"], ranks_by: str, is_public: bool = False) -> list[str]:

@@ -12,6 +12,7 @@ from leaderboard.metrics.baselines import MEMORY
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.report import board_definitions as boards
 from leaderboard.report import tables
+from leaderboard.report.notes import has_public_roads
 from leaderboard.report.tables import BoardView, Row, Section
 from leaderboard.running.board import Board
 from road_envs.records.record import PROFILE_SPACING, profile_stations
@@ -196,7 +197,7 @@ def _certainty_sentence(best: Row, tied: Sequence[str], second: Row, section: Se
     return (
         f"The first place is decided: resampling the roads leaves {second.name}, which is next, "
         "behind. An entry shares the rank of the one before it unless more others are surely "
-        f"better than it.{doubt * section.task.is_public}"
+        f"better than it.{doubt * has_public_roads(section.task)}"
     )
 
 

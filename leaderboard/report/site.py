@@ -23,7 +23,7 @@ from leaderboard.report import estimator_page, export, overview, tables
 from leaderboard.report.board_definitions import LIMIT_ROWS, TEXT_COLUMNS, column_forms, rank_column
 from leaderboard.report.charts import task_charts
 from leaderboard.report.figures import rounded
-from leaderboard.report.notes import PUBLIC_ROADS, isolation_notice
+from leaderboard.report.notes import PUBLIC_ROADS, has_public_roads, isolation_notice
 from leaderboard.report.rendering import BOARD_PAGE, POLICY_PAGE, file_name, render, write_static
 from leaderboard.report.sentences import UNRELATED_ROAD, Report, headline, unrelated_level_errors
 from leaderboard.report.tables import BoardView, Row, Section
@@ -87,7 +87,7 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
         "headline": headline(section),
         "ranked_by": view.definition.ranks_by,
         "notice": isolation_notice(scored),
-        "public": PUBLIC_ROADS if any(task.is_public for task in board.tasks) else None,
+        "public": PUBLIC_ROADS if any(map(has_public_roads, board.tasks)) else None,
         "findings": report.findings,
         "levels": overview.levels_chart(sorted(claims)),
         "claims": claims,
@@ -157,7 +157,7 @@ def _task(board: Board, view: BoardView, section: Section) -> dict[str, Any]:
         "task": task,
         "charts": task_charts(task, drawn, rows, on_level) if drawn else {},
         "notice": isolation_notice(scored),
-        "public": PUBLIC_ROADS if task.is_public else None,
+        "public": PUBLIC_ROADS if has_public_roads(task) else None,
         "left_out": order[_MAX_DRAWN:],
         "facts_rows": [("drives", _drive_counts(task, scored)), ("digest", task.digest)],
     }

@@ -23,7 +23,7 @@ from leaderboard.metrics.bootstrap import MIN_ROADS, Interval, Strata, count_roa
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report import board_definitions as boards
-from leaderboard.report.notes import section_notes
+from leaderboard.report.notes import has_public_roads, section_notes
 from leaderboard.report.run_groups import ScoreSlice, run_groups
 from leaderboard.running.board import Board
 from road_envs.sensing.perturbed_vehicle import GRADES
@@ -77,7 +77,7 @@ class BoardView:
 def board_views(board: Board) -> list[BoardView]:
     """Return the boards that have a task: of roads that are not public first, then the main one."""
     definitions = {task.board_name: task.board_definition for task in board.tasks}
-    sealed = {task.board_name for task in board.tasks if not task.is_public}
+    sealed = {task.board_name for task in board.tasks if not has_public_roads(task)}
     ordered = sorted(definitions.items(), key=lambda item: (item[0] not in sealed, item[1].order))
     of_board = {name: [x for x in board.tasks if x.board_name == name] for name in definitions}
     return [

@@ -18,7 +18,7 @@ from pydantic import Field
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.tasks import Task, load_task
 from leaderboard.metrics.bootstrap import MIN_ROADS
-from leaderboard.report.notes import PUBLIC_ROADS
+from leaderboard.report.notes import PUBLIC_ROADS, SEALED_ROADS
 from leaderboard.running.board import RunRequest
 from leaderboard.sandbox.limits import Limits
 from leaderboard.submission.hidden_seeds import COMMITMENT, check_revealed
@@ -63,7 +63,8 @@ def load_rules(path: Path | None) -> tuple[Rules, list[Task]]:
             raise ConfigError(f"{path}: {name}: a path is one word of letters, digits and . _ - /")
         note, task = check_revealed(file, path.parent), load_task(file)
         is_sealed = (file.parent / COMMITMENT).is_file()
-        note = f"{task.note} {note if is_sealed else PUBLIC_ROADS}".strip()
+        seal = f"{SEALED_ROADS} {note}" if is_sealed else PUBLIC_ROADS
+        note = f"{task.note} {seal}".strip()
         (sealed if is_sealed else public).append(dataclasses.replace(task, note=note))
     return rules, [*sealed, *public]  # a site begins with the first
 

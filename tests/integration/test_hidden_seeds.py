@@ -20,7 +20,7 @@ from leaderboard.commands.options import LimitOptions
 from leaderboard.commands.submit import results_site
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
-from leaderboard.report.notes import PUBLIC_ROADS
+from leaderboard.report.notes import PUBLIC_ROADS, SEALED_ROADS
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.running.board import run_board
@@ -327,7 +327,7 @@ def test_a_site_begins_with_the_season_and_says_which_roads_of_its_own_are_publi
     season, shipped, own = load_rules(rules)[1]
     assert [season.name, shipped.name, own.name] == [path.stem, "new_road", "own"]
     assert PUBLIC_ROADS in own.note and not own.is_public and shipped.is_public
-    assert season.note == load_task("class").note
+    assert season.note == f"{load_task('class').note} {SEALED_ROADS}"
 
 
 def test_a_season_whose_roads_no_seed_varies_says_that_they_are_known(tmp_path):
@@ -336,7 +336,7 @@ def test_a_season_whose_roads_no_seed_varies_says_that_they_are_known(tmp_path):
     paths = hidden_seeds.reveal(SALT, tmp_path)
     (tmp_path / "rules.yaml").write_text(f"tasks: [{', '.join(path.name for path in paths)}]\n")
     drawn, fixed = load_rules(tmp_path / "rules.yaml")[1]
-    assert drawn.note == tasks[0].note
+    assert drawn.note == f"{tasks[0].note} {SEALED_ROADS}"
     assert fixed.note.endswith(hidden_seeds.KNOWN_ROADS) and tasks[1].note in fixed.note
 
 

@@ -29,6 +29,9 @@ from leaderboard.report.charts import _counted_runs
 from leaderboard.report.export import as_json, write_exports
 from leaderboard.report.notes import (
     FOUND_SEEDS,
+    PUBLIC_ROADS,
+    REVEALED_ROADS,
+    SEALED_ROADS,
     _protocol_notes,
     _version_notes,
     sanity_warnings,
@@ -156,23 +159,34 @@ def test_who_lacks_the_ranking_score_on_some_drives_has_no_error_to_be_ordered_b
     assert not any("nobody has a score" in note for note in section.notes)
 
 
-def test_roads_whose_seeds_are_found_by_trial_are_noted_on_boards_with_entries_of_others():
-    def noted(name, *seeds):
-        t = task(test={"roads": ["iso_d"], "seeds": seeds, "length": 40.0})
+def test_roads_that_can_be_drawn_again_are_noted_on_boards_with_entries_of_others():
+    """Whose seeds are found by trial, or stand in a file that nobody has sealed."""
+
+    def noted(name, *seeds, note=""):
+        t = task(test={"roads": ["iso_d"], "seeds": seeds, "length": 40.0}, note=note)
         made = run_task(t, {"reader": Reader()}, (1,), simulate=fake_drives)
         made = [dataclasses.replace(x, estimator=name) for x in made]
         (view,) = board_views(Board((t,), {t.name: made}))
         assert view.sections[0].rows[0].state == "scored"
-        return FOUND_SEEDS in view.sections[0].notes
+        return [x for x in (FOUND_SEEDS, REVEALED_ROADS) if x in view.sections[0].notes]
 
-    assert noted("reader", 11, 2**61) and not noted("wiener", 11, 2**61)
-    assert not noted("reader", 2**60 + 3, 2**61)
+    large = (2**60 + 3, 2**61)
+    assert noted("reader", 11, 2**61) == [FOUND_SEEDS] and noted("reader", *large) == [
+        REVEALED_ROADS
+    ]
+    assert noted("wiener", 11, 2**61) == noted("wiener", *large) == []
+    for note in (f"Of a season. {SEALED_ROADS}", f"Their own. {PUBLIC_ROADS}"):
+        assert noted("reader", *large, note=note) == []
 
 
 def test_boards_whose_roads_are_not_public_come_first():
     shipped, own = load_task("new_road"), task(board="class")
     assert shipped.board_definition.order < own.board_definition.order
     board = Board((shipped, own), {"small": [], "new_road": []})
+    assert [view.board for view in board_views(board)] == ["class", "new_road"]
+    # a task of a results repository that is not sealed is as public as a shipped one
+    open_to_all = task(name="mini", board="new_road", note=f"Its own. {PUBLIC_ROADS}")
+    board = Board((open_to_all, own), {"small": [], "mini": []})
     assert [view.board for view in board_views(board)] == ["class", "new_road"]
 
 
@@ -437,7 +451,12 @@ def test_shipped_weights_are_noted_on_every_car_that_they_do_not_know():
 
 
 def test_who_was_made_for_other_sensors_than_those_of_the_task_is_noted(tmp_path):
-    rows = {"tcn": {"shipped": True}, "mine": {"shipped": True}, "wiener": {"instruments": "paper"}, "own": {}}
+    rows = {
+        "tcn": {"shipped": True},
+        "mine": {"shipped": True},
+        "wiener": {"instruments": "paper"},
+        "own": {},
+    }
     results = [
         dataclasses.replace(result_of("reader"), estimator=name, settings=settings)
         for name, settings in rows.items()
