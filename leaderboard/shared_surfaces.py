@@ -4,6 +4,7 @@ A road is compared by what it is made of: a piece of a surface, one between apro
 altered is of that surface, too. Names and settings count for nothing, the heights alone.
 """
 
+import itertools
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
 from functools import cache
@@ -22,7 +23,12 @@ _LEAST_CORRELATION = 0.98
 """Two surfaces are one from here; half sines 5 % apart in length have 0.96, raised cosines 0.95."""
 
 _ALIKE = 0.9
-"""The same of two surveys: 0.94 with noise of 1 mm on class B; unlike short ones have up to 0.7."""
+"""The same of two surveys: 0.94 with noise of 1 mm on class B. Unlike ones of 3 m have up to 0.89,
+directions and sides exchanged; single paths of 20 m have up to 0.67, but of 5 m up to 0.96.
+"""
+
+_LONG = 2_000  # heights, 20 m, from which single wheel paths of two surveys are compared
+_LEVEL = 1e-9  # differences of rises [m] up to which a path has one slope
 
 _NOISE, _HILL = 50, 500
 """Heights, over 0.5 and 5 m, in means without the noise of a survey, and in those of its hills."""
@@ -33,8 +39,9 @@ class _FixedSurface:
     """A surface that no seed varies: the `rises` (2, N) [m] of its wheel paths within _SPACING, and
     the `seed` of a draw. One that `is_surveyed` comes from a file.
 
-    It equals a piece or a scaled copy of itself, and another survey of the same road. Draws are one
-    if their seeds are, whatever their roads: the same random numbers make the roads of a kind.
+    It equals a piece or a scaled copy of itself, whatever the direction and the sides, and another
+    survey of the same road or of one of its wheel paths. Draws are one if their seeds are, whatever
+    their roads: the same random numbers make the roads of a kind.
     """
 
     rises: np.ndarray
@@ -46,11 +53,13 @@ class _FixedSurface:
             return NotImplemented
         if None not in (self.seed, other.seed):
             return self.seed == other.seed
-        if _largest_correlation(self.rises, other.rises) >= _LEAST_CORRELATION:
-            return True
-        if self.is_surveyed and other.is_surveyed:
-            return _largest_correlation(_waves(self.rises), _waves(other.rises)) >= _ALIKE
-        return False
+        if not (self.is_surveyed and other.is_surveyed):
+            return _are_alike(self.rises, other.rises, _LEAST_CORRELATION)
+        is_long = min(self.rises.shape[1], other.rises.shape[1]) >= _LONG
+        compare = _share_a_path if is_long else _are_alike
+        return compare(self.rises, other.rises, _LEAST_CORRELATION) or compare(
+            _waves(self.rises), _waves(other.rises), _ALIKE
+        )
 
 
 def _fixed_surfaces(roads: Iterable[Road]) -> list[_FixedSurface]:
@@ -136,9 +145,26 @@ def _waves(rises: np.ndarray) -> np.ndarray:
     return kept - means(kept, _HILL)
 
 
+def _share_a_path(one: np.ndarray, other: np.ndarray, least: float) -> bool:
+    """Return whether a wheel path of both surfaces, of rises (2, N), is alike."""
+    uneven = ([x[None] for x in rises if np.ptp(x) > _LEVEL] for rises in (one, other))
+    return any(_are_alike(x, y, least) for x, y in itertools.product(*uneven))
+
+
+def _are_alike(one: np.ndarray, other: np.ndarray, least: float) -> bool:
+    """Return whether the rises (P, N) of P wheel paths correlate by at least that, on either side
+    and in either direction: a road that is driven back falls where it rose.
+    """
+    ways = [other, other[:, ::-1]]
+    if len(other) > 1:
+        ways += [way[::-1] for way in ways]
+    return any(_largest_correlation(one, way) >= least for way in ways)
+
+
 def _largest_correlation(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the largest correlation of the rises (2, N) of the shorter surface with as long a
-    piece of the other, which is level beyond its ends; both less their mean, the slope of a hill.
+    """Return the largest correlation, without its sign, of the rises (P, N) of the shorter surface
+    with as long a piece of the other, which is level beyond its ends; both less their mean, the
+    slope of a hill.
     """
     short, long = sorted((one, other), key=np.size)
     short = short - short.mean(axis=1, keepdims=True)
@@ -151,4 +177,4 @@ def _largest_correlation(one: np.ndarray, other: np.ndarray) -> float:
     shared = scipy.signal.fftconvolve(long, short[:, ::-1], axes=1).sum(axis=0)
     power = np.sum(sums(long**2) - sums(long) ** 2 / n, axis=0)
     power = np.maximum(power, 1e-6 * power.max())  # rounding errors, where a piece is level
-    return float(np.max(shared / np.sqrt(power * np.sum(short**2))))
+    return float(np.max(np.abs(shared) / np.sqrt(power * np.sum(short**2))))

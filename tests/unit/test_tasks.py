@@ -415,6 +415,29 @@ def test_two_surveys_of_one_road_are_one_surface(tmp_path, road_class):
     assert not share_a_surface(first, survey("other.csv", 2))
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.2e-3])
+def test_a_survey_is_the_same_road_driven_back_and_with_one_of_its_wheel_paths(tmp_path, noise):
+    """Noise [m] in each height of either survey hides the rises, not the waves."""
+    rng = np.random.default_rng(0)
+    s = np.arange(0.0, 60.0, 0.025)
+    left, right, third = (
+        realise_road({"kind": "iso8608", "road_class": "B", "length": 60.0}, seed).height(s)[0]
+        for seed in (1, 2, 3)
+    )
+
+    def survey(name, *paths):
+        heights = np.array(paths).T + noise * rng.standard_normal((s.size, 2))
+        rows = "".join(f"{x:.3f},{a:.7f},{b:.7f}\n" for x, (a, b) in zip(s, heights, strict=True))
+        (tmp_path / f"{name}.csv").write_text(f"distance [m],left [m],right [m]\n{rows}")
+        return [load_road(tmp_path / f"{name}.csv")]
+
+    first = survey("first", left, right)
+    assert share_a_surface(first, survey("back", right[::-1], left[::-1]))
+    assert share_a_surface(first, survey("exchanged", right, left))
+    assert share_a_surface(first, survey("next_line", right, third))
+    assert not share_a_surface(first, survey("other", third, third[::-1]))
+
+
 def test_bumps_of_slightly_other_lengths_are_no_surface_in_common():
     one, other = ([load_road(defects({"length": length}))] for length in (2.0, 2.1))
     assert not share_a_surface(one, other)
