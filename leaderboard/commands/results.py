@@ -3,6 +3,7 @@
 import dataclasses
 import re
 import secrets
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -30,9 +31,11 @@ from leaderboard.task_tables import score_file
 from road_envs.core import artifacts
 from road_envs.core.code_digest import cache_home
 from road_envs.core.config import ConfigError
+from road_envs.kernels import _numba
 
 _RANDOM_ROAD_BOARDS = ("new_road", "field", "class")  # boards with random roads
 _DEFAULT_FOLDER = Path("out/leaderboard")
+_DIGEST = re.compile("[0-9a-f]{16}")  # of code, the name of a folder of compiled kernels
 _SEASON_NAME = re.compile(r"[A-Za-z0-9._-]+")  # of a folder, as git and shells show it
 
 
@@ -177,12 +180,27 @@ def clean(
     folder: Annotated[Path | None, argument("Default: the caches of this user.")] = None,
     dry_run: Annotated[bool, option("List them, delete nothing.", "--dry-run")] = False,
 ) -> Output:
-    """Delete stale artifacts: results, cards and caches that other code has made."""
+    """Delete stale artifacts: results, cards, caches and compiled code that other code has made."""
     where = folder or cache_home()
     if folder is not None and not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder")
     found = [str(path) for path in artifacts.clean(where, delete=not dry_run)]
+    for path in _kernels_of_other_code() if folder is None else []:
+        found.append(str(path))
+        if not dry_run:
+            shutil.rmtree(path)
     what = "would be deleted" if dry_run else "deleted"
     summary = f"{len(found)} stale artifacts below {where} {what}"
     shows = [*found, summary] if dry_run else [summary]
     return Output(facts={"folder": str(where), "stale": found, "deleted": not dry_run}, shows=shows)
+
+
+def _kernels_of_other_code() -> list[Path]:
+    """Return the folders of this user's cache that have kernels of other code, and nothing else."""
+    folders = [x for x in cache_home().glob("*") if _DIGEST.fullmatch(x.name) and x.is_dir()]
+    return [
+        folder
+        for folder in sorted(folders)
+        if folder != _numba.CACHE and not folder.is_symlink()
+        and all(x.suffix in (".nbi", ".nbc", ".lock") for x in folder.rglob("*") if not x.is_dir())
+    ]  # fmt: skip
